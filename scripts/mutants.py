@@ -36,128 +36,173 @@ INTERRUPTED = 130
 # Kernel files whose tests are not those of the mirrored folder; the tests of the kernels themselves
 # come first.
 _TESTS: dict[str, tuple[str, ...]] = {
-    "lunarsim/_frame_kernels.py": ("tests/test_frame_kernels.py", "tests/test_frames.py"),
-    "lunarsim/models/_pinhole_kernels.py": ("tests/models/test_pinhole.py",),
+    "lunarsim/_frame_kernels.py": ("tests/kernels/test_frames.py", "tests/test_frames.py"),
+    "lunarsim/models/_pinhole_kernels.py": (
+        "tests/kernels/models/test_pinhole.py",
+        "tests/models/test_pinhole.py",
+    ),
     "lunarsim/onboard/control/_kernels.py": (
-        "tests/onboard/control", "tests/simulation/test_cycle.py",
+        "tests/onboard/control",
+        "tests/simulation/test_cycle.py",
     ),
     "lunarsim/onboard/hazards/shadows/_density_kernels.py": (
+        "tests/kernels/onboard/hazards/shadows/test_evidence.py",
         "tests/onboard/hazards/shadows/test_evidence.py",
     ),
     "lunarsim/onboard/hazards/shadows/_evidence_kernels.py": (
+        "tests/kernels/onboard/hazards/shadows/test_evidence.py",
         "tests/onboard/hazards/shadows/test_evidence.py",
     ),
     "lunarsim/onboard/hazards/shadows/_lit_tile_kernels.py": (
-        "tests/onboard/hazards/shadows/test_lit_tiles.py",
+        "tests/kernels/onboard/hazards/shadows/test_lit_tiles.py",
     ),
     "lunarsim/onboard/hazards/shadows/_probability_kernels.py": (
+        "tests/kernels/onboard/hazards/shadows/test_probability_map.py",
         "tests/onboard/hazards/shadows/test_probability_map.py",
+        "tests/kernels/onboard/hazards/shadows/test_probability.py",
         "tests/onboard/hazards/shadows/test_probability.py",
     ),
     "lunarsim/onboard/navigation/_kriging_kernels.py": (
-        "tests/onboard/navigation/test_ground_kernels.py",
-        "tests/onboard/navigation/test_near_kernels.py",
+        "tests/kernels/onboard/navigation/test_kriging.py",
+        "tests/kernels/onboard/navigation/test_nearest.py",
     ),
     "lunarsim/onboard/navigation/_inertial_kernels.py": (
+        "tests/kernels/onboard/navigation/test_inertial.py",
         "tests/onboard/navigation/test_inertial.py",
     ),
     "lunarsim/onboard/navigation/_registration_kernels.py": (
+        "tests/kernels/onboard/navigation/test_registration.py",
         "tests/onboard/navigation/test_registration.py",
         "tests/onboard/navigation/test_seen_scan.py",
     ),
     "lunarsim/onboard/navigation/_rock_filter_kernels.py": (
+        "tests/kernels/onboard/navigation/test_rock_filter.py",
+        "tests/kernels/onboard/navigation/test_schmidt_kalman_covariance.py",
         "tests/onboard/navigation/test_rock_filter.py",
     ),
     "lunarsim/onboard/perception/_image_quality_kernels.py": (
+        "tests/kernels/onboard/perception/test_high_sun.py",
         "tests/onboard/perception/test_health.py",
+        "tests/kernels/onboard/perception/test_edges.py",
         "tests/onboard/perception/test_edges.py",
     ),
     "lunarsim/onboard/perception/_patch_kernels.py": (
-        "tests/onboard/perception/test_patch_kernels.py",
+        "tests/kernels/onboard/perception/test_patches.py",
+        "tests/kernels/onboard/perception/test_detector.py",
         "tests/onboard/perception/test_detector.py",
     ),
     "lunarsim/rocks/_kernels.py": (
-        "tests/rocks/test_kernels.py", "tests/rocks/test_level_ground.py",
+        "tests/kernels/rocks/test_kernels.py",
+        "tests/rocks/test_level_ground.py",
     ),
     "lunarsim/sensors/_detector_kernels.py": ("tests/sensors/test_detector.py",),
     "lunarsim/sensors/_imu_kernels.py": (
-        "tests/test_frame_kernels.py",
+        "tests/kernels/test_frames.py",
         "tests/simulation/test_cycle.py",
     ),
     "lunarsim/sensors/rendering/_cull_kernels.py": (
-        "tests/sensors/rendering/test_cull_kernels.py",
+        "tests/kernels/sensors/rendering/test_cull.py",
     ),
     "lunarsim/sensors/rendering/_scattered_light_kernels.py": (
+        "tests/kernels/sensors/rendering/test_glow.py",
         "tests/sensors/rendering/test_glow.py",
     ),
     "lunarsim/sensors/rendering/_rock_tile_kernels.py": (
-        "tests/sensors/rendering/test_rock_tiles.py",
+        "tests/kernels/sensors/rendering/test_rock_tiles.py",
     ),
     "lunarsim/sensors/rendering/_small_rock_kernels.py": (
-        "tests/sensors/rendering/test_small_rock_kernels.py",
-        "tests/sensors/rendering/test_kernels.py",
+        "tests/kernels/sensors/rendering/test_small_rocks.py",
+        "tests/kernels/sensors/rendering/test_kernels.py",
     ),
     "lunarsim/sensors/rendering/_tile_kernels.py": (
-        "tests/sensors/rendering/test_tile_tables.py", "tests/sensors/rendering/test_kernels.py",
-        "tests/sensors/rendering/test_lee_blocks.py",
+        "tests/kernels/sensors/rendering/test_tile_tables.py",
+        "tests/kernels/sensors/rendering/test_kernels.py",
+        "tests/kernels/sensors/rendering/test_lee_blocks.py",
     ),
     "lunarsim/onboard/calibration/_monotone_spline_kernels.py": (
         "tests/onboard/calibration/test_ensemble.py",
     ),
     "lunarsim/simulation/_cycle_kernels.py": ("tests/simulation/test_cycle.py",),
     "lunarsim/vehicle/_kernels.py": (
-        "tests/vehicle/test_kernels.py", "tests/vehicle/test_dynamics.py",
+        "tests/kernels/vehicle/test_kernels.py",
+        "tests/vehicle/test_dynamics.py",
+        "tests/kernels/vehicle/test_actuators.py",
         "tests/vehicle/test_actuators.py",
     ),
-    "lunarsim/vehicle/_leg_kernels.py": ("tests/vehicle/test_legs.py",),
+    "lunarsim/vehicle/_leg_kernels.py": (
+        "tests/kernels/vehicle/test_legs.py",
+        "tests/vehicle/test_legs.py",
+    ),
     "lunarsim/core/candidates.py": (
-        "tests/onboard/policies/test_candidates.py", "tests/onboard/policies/test_expected_miss.py",
+        "tests/onboard/policies/test_candidates.py",
+        "tests/onboard/policies/test_expected_miss.py",
     ),
     "lunarsim/core/divert.py": (
-        "tests/onboard/guidance/test_kernels.py", "tests/onboard/guidance/test_divert.py",
+        "tests/kernels/core/test_divert.py",
+        "tests/onboard/guidance/test_divert.py",
         "tests/onboard/guidance/test_held_times.py",
     ),
     "lunarsim/core/guidance.py": (
-        "tests/onboard/guidance/test_vertical.py", "tests/onboard/guidance/test_strain.py",
+        "tests/onboard/guidance/test_vertical.py",
+        "tests/onboard/guidance/test_strain.py",
         "tests/onboard/guidance/test_following.py",
     ),
     "lunarsim/core/path_cost.py": (
-        "tests/onboard/guidance/test_kernels.py", "tests/onboard/guidance/test_laws.py",
+        "tests/kernels/core/test_divert.py",
+        "tests/onboard/guidance/test_laws.py",
     ),
     "lunarsim/core/touchdown.py": (
-        "tests/vehicle/test_touchdown_kernels.py", "tests/vehicle/test_touchdown.py",
+        "tests/kernels/core/test_touchdown.py",
+        "tests/vehicle/test_touchdown.py",
     ),
     "envs/lunarsim_envs/descent/_kernels.py": (
-        "tests/envs/test_descent_kernels.py", "tests/envs/test_descent.py",
+        "tests/kernels/envs/test_descent_kernels.py",
+        "tests/envs/test_descent_kernels.py",
+        "tests/envs/test_descent.py",
     ),
-    "envs/lunarsim_envs/descent/_loop_kernels.py": ("tests/envs/test_descent_kernels.py",),
+    "envs/lunarsim_envs/descent/_loop_kernels.py": (
+        "tests/kernels/envs/test_descent_kernels.py",
+        "tests/envs/test_descent_kernels.py",
+    ),
     "envs/lunarsim_envs/sites/_beyond_kernels.py": (
-        "tests/envs/test_site_choice.py", "tests/envs/test_out_of_reach.py",
+        "tests/kernels/envs/test_site_choice.py",
+        "tests/envs/test_site_choice.py",
+        "tests/kernels/envs/test_out_of_reach.py",
     ),
     "envs/lunarsim_envs/sites/_choice_kernels.py": (
-        "tests/envs/test_site_kernels.py", "tests/envs/test_site_choice.py",
+        "tests/kernels/envs/test_site_kernels.py",
+        "tests/kernels/envs/test_site_choice.py",
+        "tests/envs/test_site_choice.py",
     ),
-    "envs/lunarsim_envs/sites/_flight_kernels.py": ("tests/envs/test_site_kernels.py",),
+    "envs/lunarsim_envs/sites/_flight_kernels.py": ("tests/kernels/envs/test_site_kernels.py",),
     "envs/lunarsim_envs/sites/_map_kernels.py": (
-        "tests/envs/test_site_kernels.py", "tests/envs/test_sites.py",
+        "tests/kernels/envs/test_site_kernels.py",
+        "tests/envs/test_sites.py",
     ),
-    "envs/lunarsim_envs/sites/_sparse_kernels.py": ("tests/envs/test_site_kernels.py",),
+    "envs/lunarsim_envs/sites/_sparse_kernels.py": ("tests/kernels/envs/test_site_kernels.py",),
     "envs/lunarsim_envs/sites/reachable_candidates.py": ("tests/envs/test_site_reach.py",),
     "lunarsim/world/terrain/_crater_kernels.py": (
-        "tests/world/terrain/test_craters.py", "tests/world/terrain/test_hazard_field.py",
+        "tests/kernels/world/terrain/test_craters.py",
+        "tests/world/terrain/test_craters.py",
+        "tests/world/terrain/test_hazard_field.py",
     ),
     "lunarsim/world/terrain/_placement_kernels.py": (
-        "tests/rocks/test_field.py", "tests/world/terrain",
+        "tests/rocks/test_field.py",
+        "tests/world/terrain",
     ),
     "lunarsim/world/terrain/_ray_kernels.py": (
-        "tests/world/terrain/test_rays.py", "tests/world/terrain/test_terrain.py",
+        "tests/world/terrain/test_rays.py",
+        "tests/world/terrain/test_terrain.py",
     ),
-    "lunarsim/world/terrain/_surface_kernels.py": ("tests/world/terrain/test_surface.py",),
-}  # fmt: skip
+    "lunarsim/world/terrain/_surface_kernels.py": (
+        "tests/kernels/world/terrain/test_surface.py",
+        "tests/world/terrain/test_surface.py",
+    ),
+}
 
 
 def tests_of(path: str) -> list[str]:
-    """Return the test files of a kernel file: listed in `_TESTS`, or the same folder.
+    """Return the tests of a kernel file: listed in `_TESTS`, or the folders of the same name.
 
     Raises
     ------
@@ -165,7 +210,9 @@ def tests_of(path: str) -> list[str]:
         If a test file does not exist.
     """
     mirrored = "tests" + path.removeprefix("lunarsim").rpartition("/")[0]
-    found = list(_TESTS.get(path, (mirrored,)))
+    folders = (mirrored.replace("tests", "tests/kernels", 1), mirrored)
+    existing = tuple(folder for folder in folders if (ROOT / folder).exists())
+    found = list(_TESTS.get(path, existing or (mirrored,)))
     for test in found:
         if not (ROOT / test).exists():
             raise BrokenTestsError(f"{test}: must exist, because it contains the tests of {path}")

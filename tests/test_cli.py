@@ -46,7 +46,7 @@ def small(small_scenario, tmp_path):
     return path
 
 
-def test_fly_prints_the_verdict_and_writes_the_record(small, tmp_path):
+def test_fly_prints_the_outcome_and_writes_the_record(small, tmp_path):
     out = tmp_path / "flight"
     result = run("fly", str(small), "--seed", "3", "--out", str(out))
     assert result.exit_code == 0, result.output
@@ -152,7 +152,7 @@ def test_command_is_installed():
     assert done.stderr.startswith("error: scenario")
 
 
-def test_render_writes_the_picture_and_its_truth(tmp_path):
+def test_render_writes_the_image_and_its_truth(tmp_path):
     scenario = SCENARIOS / "hirise.toml"
     out, truth = tmp_path / "x.png", tmp_path / "x.npz"
     options = ["--altitude", "40", "--sun-elevation", "12", "--out", str(out)]
@@ -216,7 +216,7 @@ def test_parts_lists_what_scenarios_choose_from():
 
 
 @pytest.mark.parametrize("form", [[], ["--markdown"]], ids=["text", "markdown"])
-def test_reference_tells_every_key_of_every_kind(form):
+def test_reference_reports_every_key_of_every_kind(form):
     done = run("scenario", "reference", *form)
     assert done.exit_code == 0, done.output
     for contract, kinds in CONTRACTS.items():

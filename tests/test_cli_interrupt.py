@@ -295,7 +295,7 @@ def test_a_folder_that_was_there_stays_and_what_is_made_goes(tmp_path):
     assert (tmp_path / "c").is_dir()
 
 
-def test_a_nested_group_tells_of_it_once():
+def test_a_nested_group_reports_it_once():
     @click.group(cls=cli_common.ErrorReportingGroup)
     def outer(): ...
 

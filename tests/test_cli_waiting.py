@@ -11,12 +11,9 @@ from pathlib import Path
 from typing import ClassVar
 
 import numba
-import numpy as np
 import pytest
 
 from lunarsim.compile_progress import report_compilation
-from lunarsim.safety import _exact_kernels, _kernels, _plane_kernels
-from lunarsim.safety.compile_kernels import compile_safety_kernels
 
 
 class Beside:
@@ -48,7 +45,7 @@ def _compile_two():
         assert numba.njit(lambda x, n=number: x + n)(1) == 1 + number
 
 
-def test_what_is_compiled_is_told_and_another_process_helps(processes, capsys):
+def test_what_is_compiled_is_reported_and_another_process_helps(processes, capsys):
     before = gc.get_threshold()
     with report_compilation(["a.module", "--word"]):
         assert gc.get_threshold() != before
@@ -63,7 +60,7 @@ def test_what_is_compiled_is_told_and_another_process_helps(processes, capsys):
     assert said[-1].startswith("compiled 2 kernels in ")
 
 
-def test_progress_is_told_between_the_first_line_and_the_last(processes, capsys, monkeypatch):
+def test_progress_is_reported_between_the_first_line_and_the_last(processes, capsys, monkeypatch):
     """By a clock that goes on by 4 s whenever it is read, and a line every 5 s at most."""
     clock = iter(range(0, 1000, 4))
     monkeypatch.setattr(time, "perf_counter", lambda: float(next(clock)))
@@ -91,7 +88,7 @@ def test_kernels_within_kernels_count_and_their_time_counts_once(processes, caps
     assert capsys.readouterr().err.splitlines()[-1].startswith("compiled 2 kernels in 1 s;")
 
 
-def test_nothing_is_told_where_nothing_is_compiled(processes, capsys):
+def test_nothing_is_reported_where_nothing_is_compiled(processes, capsys):
     with report_compilation(["a.module"]):
         pass
     assert not processes.started
@@ -112,31 +109,6 @@ def test_the_helper_is_ended_with_a_flight_that_fails(processes):
         raise ValueError("flight")
     assert processes.ended == 1
     assert gc.get_threshold() == before
-
-
-def test_warming_compiles_what_maps_call(monkeypatch):
-    called = []
-    for module, name in (
-        (_kernels, "stochastic"), (_kernels, "footprint_extremes"),
-        (_plane_kernels, "stochastic_planes"),
-        (_plane_kernels, "bounded"), (_exact_kernels, "exact"),
-    ):  # fmt: skip
-        inner = getattr(module, name)
-
-        def seen(*args, inner=inner, name=name):
-            called.append((name, next(a.dtype for a in args if isinstance(a, np.ndarray))))
-            return inner(*args)
-
-        monkeypatch.setattr(module, name, seen)
-    compile_safety_kernels(exact=False)
-    assert {name for name, _ in called} == {
-        "stochastic",
-        "footprint_extremes",
-        "stochastic_planes",
-        "bounded",
-    }
-    compile_safety_kernels(exact=True)
-    assert called[-1] == ("exact", np.float64)
 
 
 def runs(pid: int) -> bool:

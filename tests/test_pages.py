@@ -141,7 +141,7 @@ def test_generated_pages_are_current():
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
-def test_notebooks_hold_python_and_pictures(path):
+def test_notebooks_hold_python_and_images(path):
     """The build of the site runs them: see the slow test below."""
     cells = _blocks(path, "{code-cell}")
     assert len(cells) >= 5

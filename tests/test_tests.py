@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from functools import cache
 from pathlib import Path
 
@@ -54,6 +55,21 @@ def test_no_test_imports_another():
     assert not {path: names for path, names in found.items() if names}
 
 
+def test_kernels_are_imported_by_their_own_tests_only():
+    """Other tests check the same behaviour through public names."""
+    found = {}
+    for path in TESTS.rglob("*.py"):
+        if "kernels" in path.relative_to(TESTS).parts:
+            continue
+        imports = [n for n in _nodes(path) if isinstance(n, ast.ImportFrom)]
+        modules = [n.module or "" for n in imports]
+        modules += [f"{n.module}.{a.name}" for n in imports for a in n.names]
+        kernels = {m for m in modules if re.search(r"^lunarsim.*\._(\w*kernels|simd|jit)$", m)}
+        if kernels:
+            found[path.relative_to(TESTS).as_posix()] = kernels
+    assert not found
+
+
 def test_references_import_nothing_of_what_they_check():
     """References receive settings and data as arguments and call no law of the package."""
     found = {}
@@ -67,7 +83,7 @@ def test_references_import_nothing_of_what_they_check():
 
 def test_tests_stand_where_their_rooms_do():
     """Every folder of tests is a room of the package, the environments', or says what it is for."""
-    others = {"reference", "outside", "envs", "scenarios", "scripts", "security"}
+    others = {"kernels", "reference", "outside", "envs", "scenarios", "scripts", "security"}
     rooms = {p.name for p in (ROOT / "lunarsim").iterdir() if p.is_dir()}
     folders = {p.name for p in TESTS.iterdir() if p.is_dir() and p.name != "__pycache__"}
     assert folders <= rooms | others

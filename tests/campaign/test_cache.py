@@ -66,7 +66,7 @@ def test_results_are_the_same_bytes_without_with_and_from_a_cache(tmp_path, made
     assert len(entries(tmp_path / "c")) == 3 * 2  # truth, and shares of it
 
 
-def test_other_seeds_grounds_and_targets_are_other_entries(tmp_path, made):
+def test_other_seeds_terrains_and_targets_are_other_entries(tmp_path, made):
     cache = open_cache(tmp_path)
     tiny = Scenario.from_dict(TINY_FLIGHT)
     for seed, scenario in (
@@ -109,7 +109,7 @@ def arrays(value: float = 1.0, size: int = 1000):
     return {"x": np.full(size, value), "y": np.arange(5)}
 
 
-def test_damaged_entries_are_made_anew(tmp_path):
+def test_damaged_entries_are_generated_again(tmp_path):
     cache = open_cache(tmp_path)
     cache.get("k", "one", arrays)
     (path,) = entries(tmp_path)
@@ -156,7 +156,7 @@ def test_old_entries_make_room_and_those_in_use_do_not(tmp_path):
     assert later.get("k", "last", lambda: pytest.fail("thrown out"))["x"][0] == 1.0
 
 
-def test_a_full_disk_is_told_once_and_changes_nothing(tmp_path):
+def test_a_full_disk_is_reported_once_and_changes_nothing(tmp_path):
     cache = open_cache(tmp_path)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))
@@ -197,6 +197,6 @@ def interrupt(text: str) -> None:
     raise InterruptedError(text)
 
 
-def test_the_size_of_a_cache_is_told_in_gib(tmp_path):
+def test_the_size_of_a_cache_is_reported_in_gib(tmp_path):
     assert open_command_cache(tmp_path, 0.5).limit == 2**29
     assert open_command_cache(tmp_path, 0.0) is None

@@ -166,7 +166,7 @@ def test_which_mapper_is_meant():
     assert gaussian_mapper(Scenario.from_dict(one)) == "b"
 
 
-def test_a_file_that_is_there_is_kept_unless_told(done):
+def test_a_file_that_is_there_is_kept_unless_asked(done):
     _, out, toml = done
     old = out.read_bytes()
     result = run(toml, "--out", out)
@@ -188,7 +188,7 @@ def test_an_interrupt_writes_nothing(done, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_ground_that_is_all_alike_is_an_error(tmp_path):
+def test_terrain_that_is_all_alike_is_an_error(tmp_path):
     flat = TABLES | {"terrain": {"size_m": 60.0, "rms_slope_deg": 0.0}, "rocks": {"cover": 0.0}}
     Scenario.from_dict(flat).save(tmp_path / "flat.toml")
     out = tmp_path / "c.json"

@@ -100,7 +100,7 @@ def test_a_replay_that_ends_otherwise_says_so(swept, tmp_path):
     assert re.search(r"propellant_kg: recorded [\d.]+, now [\d.]+", done.output)
 
 
-def test_the_gate_tells_worse_from_equal(swept, tmp_path):
+def test_the_gate_distinguishes_worse_from_equal(swept, tmp_path):
     assert run("campaign", "diff", swept, swept).exit_code == 0
     short = run("campaign", "diff", swept, swept, "--require-equivalent", "--margin", "0.01")
     assert short.exit_code == 1 and "inconclusive" in short.output
@@ -156,7 +156,7 @@ def test_the_report_lists_flights_without_an_outcome_first(tmp_path):
     assert len(listed) > 1 and listed[0] == (table["id"][rows[-1]], "it failed")
 
 
-def test_keys_without_effect_are_told_before_anything_is_flown(tmp_path):
+def test_keys_without_effect_are_reported_before_anything_is_flown(tmp_path):
     # Neither a camera nor a star tracker.
     spec = tmp_path / "s.toml"
     spec.write_text(
@@ -203,7 +203,7 @@ def test_intervals_of_a_campaign_that_was_watched_stand_it(tmp_path, flights):
 
 
 @pytest.mark.parametrize("lost", ["one arm", "all"])
-def test_arms_without_a_verdict_are_told_of_and_not_drawn(tmp_path, lost):
+def test_arms_without_an_outcome_are_reported_and_not_drawn(tmp_path, lost):
     """A policy that raises each time, say."""
     raises = [f"{i}-{arm}" for i in range(4) for arm in ((1,) if lost == "one arm" else (0, 1))]
     ran = fly(plan(flights=4, raises=raises), InlineEngine(), tmp_path / "c")

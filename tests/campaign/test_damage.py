@@ -78,7 +78,7 @@ def journal_of_a_kill(tmp_path: Path) -> tuple[Path, int, Path]:
     return folder, journalled(folder), folder / "journal.jsonl"
 
 
-def test_lines_of_the_journal_that_are_no_rows_of_it_are_told_of(tmp_path, whole):
+def test_lines_of_the_journal_that_are_no_rows_of_it_are_reported(tmp_path, whole):
     folder, before, path = journal_of_a_kill(tmp_path)
     row, timing = json.loads(path.read_text().splitlines()[0])
     strange = [

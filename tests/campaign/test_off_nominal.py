@@ -52,7 +52,7 @@ def test_fewer_flights_than_there_are_delete_none(tmp_path):
     assert refused.value.field == "flights" and parts(tmp_path / "c") == before
 
 
-def test_rows_that_are_gone_are_told_of_and_flown_again(tmp_path):
+def test_rows_that_are_gone_are_reported_and_flown_again(tmp_path):
     run(plan(flights=30), InlineEngine(), tmp_path / "c")
     before = parts(tmp_path / "c")
     shutil.rmtree(tmp_path / "c" / "results")
@@ -145,7 +145,7 @@ def test_other_code_of_a_part_from_elsewhere_is_another_campaign(tmp_path, monke
     assert "made from" not in spec().identity
 
 
-def test_another_ground_under_the_same_path_is_another_campaign(tmp_path):
+def test_another_terrain_under_the_same_path_is_another_campaign(tmp_path):
     def identity(height: float) -> dict[str, object]:
         with rasterio.open(
             tmp_path / "g.tif", "w", driver="GTiff", height=60, width=60, count=1, dtype="float32",
@@ -272,7 +272,7 @@ def test_diff_is_of_the_same_draws_and_a_gain_is_no_equivalence(tmp_path):
     assert done.exit_code == 0 and "scenario.gravity_m_s2" in done.output
 
 
-def test_a_flight_without_a_verdict_counts_as_no_success_when_it_stops():
+def test_a_flight_without_an_outcome_counts_as_no_success_when_it_stops():
     seen, none = IntervalWidthRule("safe", 0.9, 1), IntervalWidthRule("safe", 0.9, 1)
     for flight in range(40):
         none.add(flight, 0, {"safe": None})

@@ -212,7 +212,7 @@ def test_a_folder_of_anything_else_is_refused_and_left_alone(tmp_path):
     assert kept == {p: p.read_bytes() for p in (tmp_path / "c").rglob("*") if p.is_file()}
 
 
-def test_workers_that_cannot_start_are_told_of(tmp_path):
+def test_workers_that_cannot_start_are_reported(tmp_path):
     lost = replace(plan(), work=Work("tests.campaign.no_such_module:fly"))
     with pytest.raises(WorkerStartError, match="before they were ready"):
         run(lost, LocalEngine(2), tmp_path / "c")

@@ -98,7 +98,7 @@ def test_flights_of_one_block_share_their_world(tmp_path):
     assert build_plan(spec("sobol", 8, keys=2)).work.study.block == 0
 
 
-def test_pawn_tells_what_matters_from_chance(tmp_path):
+def test_pawn_distinguishes_what_matters_from_chance(tmp_path):
     found = flown(tmp_path, "monte-carlo", 600)
     for metric in ("y", "safe"):
         (made,) = sensitivities(found, metric, resamples=40)
@@ -133,7 +133,7 @@ def test_pawn_of_a_choice_and_of_its_mirror_are_the_same(tmp_path):
     assert found[1] == pytest.approx(0.1, abs=0.06) and found[2] == pytest.approx(0.1, abs=0.06)
 
 
-def test_what_cannot_be_told_is_said(tmp_path, monkeypatch):
+def test_what_cannot_be_determined_is_reported(tmp_path, monkeypatch):
     found = flown(tmp_path, "monte-carlo", 20)
     (made,) = sensitivities(found, "y")
     assert made.indices == {} and "20 flights" in made.why_not

@@ -64,7 +64,7 @@ def test_a_flight_of_plain_monte_carlo_depends_on_its_index_alone():
     assert build_plan(spec(seed=2)).draws(7) != few.draws(7)
 
 
-def test_arms_that_share_their_ground_are_flown_together():
+def test_arms_that_share_their_terrain_are_flown_together():
     assert build_plan(spec()).groups == ((0, 1, 2, 3),)
     cover = spec(factors={"rocks.cover": [0.02, 0.1], "policy": ["safest", "no-divert"]},
                  dispersions=None, correlations=None)  # fmt: skip

@@ -166,7 +166,7 @@ def test_below_a_limit_is_as_above_the_other_way(tmp_path):
     assert made.value == pytest.approx(norm.cdf(-2.0), rel=0.5)
 
 
-def test_a_metric_with_steps_is_told_of(tmp_path):
+def test_a_metric_with_steps_is_reported(tmp_path):
     ran = run(planned("stepped"), InlineEngine(), tmp_path / "c")
     assert (ran.state, ran.flown) == ("complete", 300)
     (made,) = estimate_failure_shares(load_results(tmp_path / "c"))

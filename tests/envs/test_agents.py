@@ -131,7 +131,7 @@ def test_a_policy_decides_as_in_the_simulation(small_scenario):
     assert info["propellant_kg"] == pytest.approx(wet - simulation.state.mass)
 
 
-def test_policies_that_must_be_told_the_truth_are_refused():
+def test_policies_that_need_the_truth_are_refused():
     with pytest.raises(InputError, match="true hazard map"):
         agent_of("truth-oracle", RetargetEnv())
 
@@ -303,7 +303,7 @@ def _saved(path, module):
         file.writestr("data", json.dumps(data))
 
 
-def test_files_of_stable_baselines3_are_told_apart(tmp_path, monkeypatch):
+def test_files_of_stable_baselines3_are_distinguished(tmp_path, monkeypatch):
     asked = []
 
     def imported(name):

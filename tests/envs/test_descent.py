@@ -155,7 +155,7 @@ def test_an_agent_for_other_actions_or_observations_is_refused():
         PolynomialGuidance(GuidanceEnv(changes=LOW, observation=["rate", "position"]).descents)
 
 
-def test_shaping_tells_the_same_of_every_flight_from_one_start():
+def test_shaping_reports_the_same_of_every_flight_from_one_start():
     """Its discounted sum is minus the potential of the start, whatever was done."""
     weights = DescentWeights(discount=0.97)
     vector = batch(IDS[0], 8, weights=weights)
@@ -254,7 +254,7 @@ def test_a_batch_of_one_says_which_shape_it_wants():
         vector.step(np.zeros(3, np.float32))
 
 
-def test_where_flights_start_can_be_told():
+def test_where_flights_start_can_be_reported():
     env = GuidanceEnv(changes=LOW)
     told = {"position_m": [0.0, 0.0, 40.0], "velocity_m_s": [0.0, 0.0, -1.0],
             "position_sigma_m": 0.0, "velocity_sigma_m_s": 0.0}  # fmt: skip
@@ -382,7 +382,7 @@ def test_a_copy_and_a_pickle_fly_on_alike():
         assert np.array_equal(told[0], kept.step(np.zeros(3, np.float32))[0])
 
 
-def test_a_picture_shows_where_the_lander_is_and_how_it_ended():
+def test_an_image_shows_where_the_lander_is_and_how_it_ended():
     env = GuidanceEnv(changes=LOW, render_mode="rgb_array", rate_hz=10.0)
     assert env.metadata["render_fps"] == 10
     with pytest.raises(gymnasium.error.ResetNeeded):
@@ -418,7 +418,7 @@ def test_a_picture_shows_where_the_lander_is_and_how_it_ended():
         GuidanceEnv(changes=LOW, render_mode="ansi")
 
 
-def test_a_crash_costs_and_the_end_is_told():
+def test_a_crash_costs_and_the_end_is_reported():
     vector = batch(IDS[0], 16, autoreset_mode="SameStep")
     vector.reset(seed=3)
     lanes = vector.unwrapped.descents.lanes
@@ -437,7 +437,7 @@ def test_a_crash_costs_and_the_end_is_told():
     assert seen > 10
 
 
-def test_a_crash_is_told_by_how_bad_it_is():
+def test_a_crash_is_reported_by_how_bad_it_is():
     """Of speeds, tilt and rate over their limits, number by number."""
     weights = DescentWeights(safe=5.0, severity=2.0, excess=0.5)
     vector = batch(IDS[0], 32, weights=weights, autoreset_mode="Disabled")

@@ -68,7 +68,7 @@ def asked(seed=1):
     return evaluation_study("tests/Wanted-v0", None, (), seed)
 
 
-def test_rows_tell_what_came_of_every_episode():
+def test_rows_report_what_came_of_every_episode():
     rows = fly(asked(), ["zero", "random"], 12, jobs=1)
     assert [(r["agent"], r["episode"]) for r in rows] == [
         (a, e) for a in ("zero", "random") for e in range(12)
@@ -88,7 +88,7 @@ def test_rows_tell_what_came_of_every_episode():
     assert fly(asked(2), ["zero"], 2, jobs=1)[0]["miss_m"] != rows[0]["miss_m"]
 
 
-def test_progress_is_told_of_every_episode():
+def test_progress_is_reported_for_every_episode():
     told = []
     fly(asked(), ["zero", "random"], 3, 1, told.append)
     assert sum(told) == 6
@@ -187,7 +187,7 @@ def test_an_environment_of_the_working_directory_is_found(tmp_path, monkeypatch)
     assert len(fly(study, ["zero"], 2, jobs=1)) == 2
 
 
-def test_a_scenario_is_asked_for_where_an_environment_tells_none():
+def test_a_scenario_is_required_if_an_environment_has_none():
     with pytest.raises(InputError, match="needs --scenario"):
         evaluation_study("tests/Wanted-v0", None, ["rocks.cover=0.1"], 1)
 

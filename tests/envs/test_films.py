@@ -80,7 +80,7 @@ def test_what_renders_nothing_is_not_filmed(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["Retarget-v0", "Guidance-v0"])
-def test_without_a_screen_it_is_told(name, monkeypatch):
+def test_without_a_screen_it_is_reported(name, monkeypatch):
     monkeypatch.setattr("matplotlib.pyplot.get_backend", lambda: "agg")
     more = RETARGET if name == "Retarget-v0" else {}
     with pytest.raises(InputError, match="needs a display"):

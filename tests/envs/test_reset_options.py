@@ -161,7 +161,7 @@ def test_covers_that_cannot_be_are_refused(covers):
             gymnasium.make(ID, scenario=SMALL, perception=perception, covers=covers)
 
 
-def test_running_out_of_time_is_no_crash_and_is_told_apart():
+def test_running_out_of_time_is_no_crash_and_is_distinguished():
     """An episode cut off by the clock is truncated, in one environment and in a batch."""
     # The whole computer's flight is over before its first decision.
     for perception, limit in (("onboard", 2.0), ("surrogate", 12.0)):

@@ -162,7 +162,7 @@ def test_a_film_holds_nothing_of_the_flight_before(small_scenario, monkeypatch):
     assert drawn[1] is env.unwrapped.simulation
 
 
-def test_frames_say_of_a_map_that_tells_nothing_what_it_is(env):
+def test_frames_say_of_a_map_that_reports_nothing_what_it_is(env):
     env.reset(seed=1)
     observation = env.unwrapped.simulation.observe()
     frames, drawn = FrameRenderer(env.unwrapped.simulation, observation), []
@@ -228,7 +228,7 @@ def test_frames_show_the_map_north_up_and_east_right(env):
         assert _colours(picture, high) > _colours(picture, low) + 100.0
 
 
-def test_a_film_goes_down_to_the_ground(small_scenario, tmp_path):
+def test_a_film_goes_down_to_the_terrain(small_scenario, tmp_path):
     env = gymnasium.make(ID, scenario=small_scenario, render_mode="rgb_array_list")
     env.reset(seed=1)
     (first,) = env.render()

@@ -177,7 +177,7 @@ def test_choices_are_counted_for_each_flight_of_its_own():
     assert told.tolist() == [0.0, -EVERY.invalid]
 
 
-def test_what_a_map_tells():
+def test_what_a_map_reports():
     seen = np.array([[True, True], [True, False]])
     p = np.array([[0.0, 1.0], [0.5, 1.0]], np.float32)
     assert map_information(p, seen) == 0.5

@@ -217,7 +217,7 @@ def test_options_say_where_flights_start_and_others_are_refused():
         env.step(21)
 
 
-def test_the_truth_is_told_as_it_is():
+def test_the_truth_is_reported_as_it_is():
     many = lanes(8, perception="truth")
     while (many.ended == 0).any():
         seen = np.isfinite(many.candidates.here[:, 0])

@@ -73,7 +73,7 @@ def drawn(seed, count):
     return made
 
 
-def test_kernels_stretch_as_the_whole_simulation_does():
+def test_kernels_scale_times_as_the_complete_simulation_does():
     """Over drawn decisions: the same is refused, and flown a second on they arrive alike."""
     kernels = SiteDescentBatch(
         1, LEVEL, SiteWorldPool.of(LEVEL, 1, 3), errors=exact_errors(),
@@ -176,7 +176,7 @@ def test_choices_are_of_the_cheapest_time(perception):
     )
 
 
-def test_a_new_site_gets_the_cheapest_or_a_stretch_of_it():
+def test_a_new_site_gets_the_cheapest_time_or_a_multiple_of_it():
     begun = made()
     _, info = begun.reset(seed=3)
     while not info["action_mask"][1:21].any():
@@ -213,7 +213,7 @@ def test_a_row_that_is_not_to_be_had_leaves_all_as_it_is():
     assert info["_time_scale_refused"].all()
 
 
-def test_a_site_that_the_computer_refuses_has_its_stretch_refused():
+def test_a_site_that_the_computer_refuses_has_its_time_scale_refused():
     env = made(perception="onboard")
     env.reset(seed=3)
     far = np.array([4000.0, 0.0, 0.0])
@@ -359,7 +359,7 @@ def test_agents_are_evaluated_on_the_parts_that_are_asked_for():
     assert done.exit_code == 2 and "with the action component 'site'" in done.output
 
 
-def test_frames_say_by_which_stretch():
+def test_frames_say_by_which_time_scale():
     env = gymnasium.make(
         "lunarsim_envs:lunarsim/Retarget-v0", scenario=SMALL, action=BOTH, render_mode="rgb_array"
     ).unwrapped

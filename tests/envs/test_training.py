@@ -194,7 +194,7 @@ def test_options_of_stable_baselines3_are_those_of_a_reset():
 
 
 @pytest.mark.slow
-def test_what_the_clock_cut_off_is_told_as_truncated():
+def test_what_the_clock_cut_off_is_reported_as_truncated():
     """Learners take the value of the last state for what such a flight would have returned."""
     pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
     from lunarsim_envs.training.sb3_vec_env import Sb3VecEnv

@@ -181,7 +181,7 @@ def test_ranges_that_will_not_do_are_refused(keys, says):
         only(**keys)
 
 
-def test_nothing_is_drawn_or_told_that_is_not_asked_for():
+def test_nothing_is_drawn_or_reported_that_is_not_asked_for():
     env = ControlEnv(changes=LOW)
     _, info = env.reset(seed=1)
     assert info == {}

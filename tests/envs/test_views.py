@@ -38,7 +38,7 @@ def test_the_lander_is_in_the_middle_and_the_site_in_sight(env):
     assert over[1] < lander[1]
 
 
-def test_the_ground_is_rendered_as_the_eye_meets_it(env):
+def test_the_terrain_is_rendered_as_the_sensor_meets_it(env):
     """Where a ray of the chase view meets the ground it is lit; the sky is dark."""
     views = env.unwrapped.views
     view = views.chase()
@@ -50,7 +50,7 @@ def test_the_ground_is_rendered_as_the_eye_meets_it(env):
     assert 60 < np.percentile(patch, 90) < 236
 
 
-def test_gauges_move_with_what_they_tell(env):
+def test_gauges_move_with_their_values(env):
     views = env.unwrapped.views
     before = views.gauges()
     assert before.shape == (HEIGHT - ASIDE, ASIDE, 3)
@@ -58,7 +58,7 @@ def test_gauges_move_with_what_they_tell(env):
     assert not np.array_equal(before, views.gauges())
 
 
-def test_closing_lets_go_of_the_flight_and_resetting_takes_up_anew(env):
+def test_closing_lets_go_of_the_flight_and_resetting_takes_up_again(env):
     inner = env.unwrapped
     inner.close()
     assert inner.simulation is None and inner.views is None and inner.frames is None

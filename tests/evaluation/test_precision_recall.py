@@ -70,7 +70,7 @@ def test_brier_score_is_the_mean_square():
     assert brier_score([0.0, 0.5, 1.0], [False, True, False]) == pytest.approx(1.25 / 3.0)
 
 
-def test_local_ground_lies_where_a_map_with_this_error_has_it():
+def test_local_terrain_lies_where_a_map_with_this_error_has_it():
     posts = Grid.centred((0.0, 0.0), 40.0, 0.5)
     z = 0.2 * posts.x[None, :] - 0.1 * posts.y[:, None]
     terrain = Terrain(Heightfield(posts, z.astype(np.float32)))

@@ -25,7 +25,7 @@ def test_reliability_counts_by_bin():
     assert calibration_error(table) == pytest.approx(expected)
 
 
-def test_what_is_told_rightly_stays_under_the_error_by_chance_as_often_as_stated():
+def test_correct_probabilities_stay_under_the_chance_error_as_often_as_stated():
     rng = np.random.default_rng(2)
     for count in (8, 60, 400):
         p = rng.uniform(0.6, 1.0, count)

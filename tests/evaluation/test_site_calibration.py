@@ -32,7 +32,7 @@ from tests.map_evidence import evidence
 LANDER = Lander()
 
 
-def test_sites_are_judged_where_they_truly_are():
+def test_sites_are_evaluated_where_they_truly_are():
     grid = Grid(-2.0, -2.0, 0.5, 17, 17)
     xy = grid.centres()
     safe, known = xy[..., 0] < 1.9, xy[..., 1] < 2.9
@@ -147,7 +147,7 @@ def test_what_drawing_flights_adds_to_the_error_is_taken_off_its_interval():
     assert found == pytest.approx([error((1, 1, 1)), *ends], abs=1e-9)
 
 
-def test_no_flight_is_judged_by_a_fit_to_itself():
+def test_no_flight_is_evaluated_by_a_fit_to_itself():
     # Two flights that say the opposite: each refit is wrong about the other.
     found = judged(sites(0, shift=4.0), sites(1, shift=-4.0))
     assert found.packaged_domain.refit.ece[0] > 0.2
@@ -189,7 +189,7 @@ def test_without_both_kinds_of_sites_there_is_no_fit():
         judged(safe, sites(1, shift=60.0), sites(2))
 
 
-def test_ground_that_no_flight_was_fitted_to_is_left_out_of_the_domain():
+def test_terrain_that_no_flight_was_fitted_to_is_left_out_of_the_domain():
     near = [sites(i, known=1.0) for i in range(2)]
     far = sites(2, n=400, shift=60.0, known=0.0)  # all safe: nothing to fit to
     refit = SiteSamples.joined([*near, far]).fitted(LANDER)

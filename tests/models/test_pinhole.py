@@ -1,6 +1,5 @@
 import numpy as np
 
-from lunarsim.models._pinhole_kernels import to_pixel, to_tangents
 from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import Pinhole, View
 
@@ -33,13 +32,6 @@ def test_the_jacobian_by_other_coordinates_follows_the_chain_rule():
     axes = np.random.default_rng(2).normal(size=(3, 2))
     chain = HOLE.jacobian(points) @ axes
     np.testing.assert_allclose(HOLE.jacobian(points, axes), chain, rtol=1e-9, atol=1e-9)
-
-
-def test_compiled_kernels_project_as_the_plain_code_does():
-    for point, pixel in zip(_points(), HOLE.project(_points()), strict=True):
-        np.testing.assert_allclose(to_pixel(*point, *HOLE), pixel, rtol=1e-12)
-        tangents = to_tangents(*pixel, *HOLE)
-        np.testing.assert_allclose(tangents, point[:2] / point[2], atol=1e-12)
 
 
 def test_the_border_lies_half_a_pixel_beyond_the_outer_pixels():

@@ -51,7 +51,7 @@ def test_fifty_random_descents_take_the_same_propellant():
     assert np.abs(defects).max() < 2e-3, defects
 
 
-def test_what_it_does_not_know_is_refused_and_failures_are_told():
+def test_what_it_does_not_know_is_refused_and_failures_are_reported():
     with pytest.raises(InputError, match="region"):
         collocate(mars(region=10.0))
     with pytest.raises(InputError, match="duration"):

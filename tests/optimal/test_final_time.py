@@ -117,7 +117,7 @@ def test_a_failure_at_one_final_time_does_not_end_the_search():
     assert path.increment == pytest.approx(minimize_propellant(Planner(20), moon()).increment, 1e-3)
 
 
-def test_a_path_that_the_engine_cannot_fly_is_told_not_returned():
+def test_a_path_that_the_engine_cannot_fly_is_reported_not_returned():
     """An engine that can hardly be throttled: relaxed, thrust falls far below the least."""
     d = Descent(
         [-189.4, -133.6, 3431.6], [16.6, -19.0, -83.3], 11597.5, np.zeros(3), np.zeros(3), 9.81,

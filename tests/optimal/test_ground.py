@@ -49,7 +49,7 @@ def test_heights_are_bilinear_and_missing_off_the_posts():
     assert np.isnan(terrain.height([[800.0, 0.0]])[0])
 
 
-def test_a_path_within_the_majorant_keeps_above_the_ground_between_its_nodes():
+def test_a_path_within_the_majorant_keeps_above_the_terrain_between_its_nodes():
     """A knoll 60 m before the site: the path over flat ground goes through it."""
     terrain, planner = hill(60.0, 60.0, 20.0), Planner(30)
     free = minimize_propellant(planner, moon())
@@ -148,7 +148,7 @@ def test_no_way_at_all_is_infeasible_not_a_failure():
         minimize_propellant_over_terrain(Planner(10), moon(dry_mass=1495.0), flat)
 
 
-def test_a_start_under_the_ground_is_refused():
+def test_a_start_under_the_terrain_is_refused():
     grid = Grid.centred((0.0, 0.0), 2000.0, 20.0)
     east, north = np.meshgrid(grid.x, grid.y)
     hill = TerrainRaster(grid, 200.0 * np.exp(-((east + 600.0) ** 2 + north**2) / (2.0 * 150.0**2)))
@@ -173,7 +173,7 @@ def test_sectors_too_wide_for_a_plane_are_refused(sectors):
 
 
 @pytest.mark.parametrize("sectors", [3, 5])
-def test_few_sectors_keep_above_the_ground_too(sectors):
+def test_few_sectors_keep_above_the_terrain_too(sectors):
     knoll, planner = hill(60.0, 60.0, 20.0), Planner(20)
     path = minimize_propellant_over_terrain(
         planner, moon(), knoll, clearance=1.0, sectors=sectors, rounds=4

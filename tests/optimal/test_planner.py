@@ -24,7 +24,7 @@ from lunarsim.optimal.transcription import HalfSpaces, ProgramStructure
 from tests.optimal.cases import mars, moon
 
 
-def test_an_updated_program_is_solved_as_one_made_anew_and_by_another_solver():
+def test_an_updated_program_is_solved_as_one_made_again_and_by_another_solver():
     rng = np.random.default_rng(7)
     kept, other = Planner(30), Planner(30, ClarabelSolver)
     for _ in range(4):
@@ -156,7 +156,7 @@ class Failing:
         return SolverResult("failed", nothing, nothing, nothing, 7, "failing")
 
 
-def test_infeasible_and_failed_are_told_apart():
+def test_infeasible_and_failed_are_distinguished():
     with pytest.raises(SolverError, match="failing fails after 7 iterations"):
         minimize_propellant(Planner(20, Failing), moon())
     assert Planner(20).at_time(moon(), 5.0) is None
@@ -197,7 +197,7 @@ def test_a_judge_that_fails_is_asked_whether_wider_cones_hold_something(duration
     assert judged.fallback.met == 2
 
 
-def test_after_a_failure_the_solver_begins_anew():
+def test_after_a_failure_the_solver_begins_again():
     planner = Planner(20, QocoOnlySolver)
     before = planner.at_time(moon(), 30.0)
     assert planner.at_time(moon(), 5.0) is None

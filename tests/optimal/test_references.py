@@ -41,7 +41,7 @@ def test_the_mars_case_with_a_free_final_time():
     assert plain.propellant == pytest.approx(353.3, rel=5e-3)
 
 
-def test_what_cannot_be_reached_with_the_tanks_is_told_with_what_can(table):
+def test_what_cannot_be_reached_with_the_tanks_is_reported_with_what_can(table):
     """The second case of Blackmore: 400 kg do not do; the nearest end can be reached, no nearer."""
     start = {"position": (2000.0, 500.0, 1500.0), "velocity": (100.0, 40.0, -75.0)}
     planner = Planner(40)

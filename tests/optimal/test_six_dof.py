@@ -234,7 +234,7 @@ def test_a_path_is_given_only_once_its_intervals_are_joined(monkeypatch):
         assert count == given + 1
 
 
-def test_failures_of_solvers_are_told():
+def test_failures_of_solvers_are_reported():
     d = descent(np.random.default_rng(1))
     with pytest.raises(SolverError, match="IPOPT"):
         shoot(d, N, max_iterations=2)

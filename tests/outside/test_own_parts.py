@@ -36,7 +36,7 @@ def test_a_tasking(small):
     assert np.allclose(np.divide(altitudes[1:4], altitudes[:3]), 0.5, atol=0.03)
 
 
-def test_a_ground(small):
+def test_a_terrain(small):
     scenario = small.changed(terrain={"kind": "own_ground:Dunes", "height_m": 0.6})
     simulation = Simulation(scenario, 3, "safest")
     low, high = simulation.world.terrain.relief.z_range

@@ -117,7 +117,7 @@ def test_what_does_not_fit_is_refused(wrong):
         TABLE.model_validate(wrong)
 
 
-def test_what_a_part_refuses_is_told_by_the_tables_key_and_value():
+def test_what_a_part_refuses_is_reported_by_the_tables_key_and_value():
     with pytest.raises(InputError) as caught:
         TABLE(required=1.0, maybe_s=3.0).make()
     assert (caught.value.field, caught.value.value) == ("maybe_s", 3.0)

@@ -50,7 +50,7 @@ def test_overfull_field_is_refused():
 
 
 @pytest.mark.parametrize("shape", ["hemisphere", "ellipsoid", "cube", "irregular", "mixed"])
-def test_rocks_of_every_shape_do_not_overlap_and_reach_the_ground(shape):
+def test_rocks_of_every_shape_do_not_overlap_and_reach_the_terrain(shape):
     rng = np.random.default_rng(4)
     ground = flat_terrain(60.0).relief
     diameters = sample_diameters(3600.0, 0.15, 0.2, 3.0, rng)
@@ -67,7 +67,7 @@ def test_rocks_of_every_shape_do_not_overlap_and_reach_the_ground(shape):
 
 
 @pytest.mark.parametrize("shape", ["ellipsoid", "irregular"])
-def test_covered_area_and_height_above_ground_follow_the_model(shape):
+def test_covered_area_and_height_above_terrain_follow_the_model(shape):
     """One rock of 1 m, many times: the area at ground level and the height above it."""
     rng = np.random.default_rng(8)
     model = RockModel(shape, height_ratio=(0.45, 0.08), burial=(0.1, 0.4))

@@ -73,7 +73,7 @@ def test_taller_rocks_are_no_fewer_that_are_missed(seed, times, noise):
     assert (high.unseen_rocks(h, density) >= low.unseen_rocks(h, density) * (1.0 - 1e-9)).all()
 
 
-def test_holes_are_counted_as_far_as_the_ground_lies_below():
+def test_holes_are_counted_as_far_as_the_terrain_lies_below():
     rises = np.zeros(20_000)
     rises[:400] = -0.4
     deep = depth_curve(rises, 0.01, 0.25, 0.05)

@@ -21,7 +21,6 @@ from lunarsim.safety import (
     safe_sites,
     stochastic_safety,
 )
-from lunarsim.safety._kernels import TILE_COLS, TILE_ROWS
 
 LANDER = Lander(leg_radius=1.1, pad_diameter=0.3)
 GRID = Grid.centred((0.0, 0.0), 17.0, 0.1, 9.0)
@@ -60,6 +59,9 @@ def footprints_of(row: int, col: int) -> np.ndarray:
     near = np.zeros(GRID.shape, np.bool_)
     near[max(row - r, 0) : row + r + 1, max(col - r, 0) : col + r + 1] = True
     return near
+
+
+TILE_ROWS, TILE_COLS = 64, 128  # cells that share the height from which theirs are measured
 
 
 def tile_of(row: int, col: int) -> np.ndarray:
@@ -105,7 +107,7 @@ def test_a_bad_cell_matters_in_its_own_footprints_alone(name, seed, spike, row, 
 
 @pytest.mark.parametrize("mark", [np.nan, np.inf, -3.4e38, 1e20, 1e6, -1e6])
 @pytest.mark.parametrize("name", TESTS)
-def test_marks_of_missing_data_are_unknown_ground(name, mark):
+def test_marks_of_missing_data_are_unknown_terrain(name, mark):
     z = lattice(1)
     row, col = 40, 100
     z[row : row + 12, col : col + 30] = mark
@@ -119,7 +121,7 @@ def test_marks_of_missing_data_are_unknown_ground(name, mark):
 
 
 @pytest.mark.parametrize("name", TESTS)
-def test_masked_ground_is_unknown(name):
+def test_masked_terrain_is_unknown(name):
     z = np.zeros(GRID.shape)
     hole = np.zeros(GRID.shape, np.bool_)
     hole[40:50, 60:80] = True

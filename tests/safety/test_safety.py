@@ -80,7 +80,7 @@ def grounds(grid: Grid) -> dict:
 
 @pytest.mark.parametrize("legs", [3, 4])
 @pytest.mark.parametrize("name", list(grounds(Grid.centred((0.0, 0.0), 4.0, 0.1))))
-def test_no_ground_is_passed_over(name, legs):
+def test_no_terrain_is_passed_over(name, legs):
     """What is skipped would not have counted, whatever the ground's shape."""
     grid = Grid.centred((0.0, 0.0), 5.2, 0.1, 4.4)
     z = grounds(grid)[name]
@@ -198,7 +198,7 @@ def test_height_does_not_matter(seed, dz):
 
 
 @pytest.mark.parametrize("legs", [3, 4])
-def test_quarter_turns_of_the_ground(legs):
+def test_quarter_turns_of_the_terrain(legs):
     lander = Lander(legs=legs, leg_radius=1.1)
     z, grid = terrain(3, 0.05)
     a = conservative_safety(z, grid, lander)
@@ -218,7 +218,7 @@ def test_planes_have_their_slope_at_every_heading():
     assert np.abs(exact.roughness[exact.observed]).max() < 1e-3
 
 
-def test_edges_and_unknown_ground_are_unobserved():
+def test_edges_and_unknown_terrain_are_unobserved():
     z, grid = terrain(1, 0.01)
     z[12, 12] = np.nan
     for result in (exact_safety(z, grid, SMALL), conservative_safety(z, grid, SMALL)):

@@ -169,7 +169,7 @@ def test_bounded_keeps_what_either_test_keeps():
             assert np.all(ours >= getattr(exact, name)[seen] - 1e-5)
 
 
-def test_the_spread_of_the_legs_is_that_of_ground_under_pads():
+def test_the_spread_of_the_legs_is_that_of_terrain_under_pads():
     """One uncertain cell matters to the sites whose pads touch it, and to no other."""
     lander, posting = LANDERS[0]
     grid = Grid.centred((0.0, 0.0), 40 * posting, posting)

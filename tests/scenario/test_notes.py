@@ -72,7 +72,7 @@ def test_the_default_study_has_nothing_odd():
         ),
     ],
 )  # fmt: skip
-def test_each_oddity_is_told_once_with_key_and_value(tables, begins, told):
+def test_each_oddity_is_reported_once_with_key_and_value(tables, begins, told):
     (note,) = [n for n in notes(**tables) if n.startswith(begins)]
     assert told in note
     assert "\n" not in note

@@ -159,7 +159,7 @@ def test_an_unknown_key_names_the_tables_that_have_it():
 
 
 @pytest.mark.parametrize("table", list(MOVED_TABLES))
-def test_tables_of_earlier_versions_tell_where_they_are_now(table):
+def test_tables_of_earlier_versions_report_where_they_are_now(table):
     with pytest.raises(InputError) as caught:
         Scenario.from_dict({table: {}})
     assert caught.value.field == table
@@ -330,7 +330,7 @@ def test_shipped_scenarios_navigate_by_what_the_lander_carries(path):
 @pytest.mark.parametrize(
     "tables", [{"sensors": 3}, {"sensors": {"a": 3}}, {"mappers": {"a": {"kind": [1]}}}]
 )
-def test_tables_that_are_none_are_told_as_such(tables):
+def test_tables_that_are_none_are_reported_as_such(tables):
     with pytest.raises(InputError) as caught:
         Scenario.from_dict(tables)
     assert caught.value.field.startswith(next(iter(tables)))

@@ -112,7 +112,7 @@ def test_returns_are_lost_as_photons_get_few(height):
     assert np.array_equal(np.isnan(scan.range), np.isnan(scan.sigma))
 
 
-def test_what_is_stated_tells_no_truth():
+def test_what_is_stated_contains_no_truth():
     world = World(flat_terrain(800.0, 8.0), 1.622)
     lidar = FlashLidar(16, 16)
     scan = lidar.measure(world, state(500.0), 0.0, np.random.default_rng(1), DOWN)

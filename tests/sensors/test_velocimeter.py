@@ -81,7 +81,7 @@ def test_beams_without_a_return_are_nan():
     assert np.isfinite(tilted.speed).any()
 
 
-def test_stars_tell_the_attitude_but_for_noise_and_mount():
+def test_stars_give_the_attitude_apart_from_noise_and_mount():
     figures = StarTracker(misalignment=1e-3, cross_boresight_noise=1e-4, roll_noise=1e-3)
     here, offsets = state(turn=(0.0, 0.0, 0.4)), []
     for seed in range(200):

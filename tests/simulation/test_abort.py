@@ -57,7 +57,7 @@ def test_an_abort_climbs_away_and_is_counted_apart(scenario, tmp_path):
     assert Flight.load(tmp_path / "flight").outcome == flight.outcome
 
 
-def test_an_abort_too_low_still_meets_the_ground_or_clears_it(scenario):
+def test_an_abort_too_low_still_meets_the_terrain_or_clears_it(scenario):
     """From 12 m up at some metres a second the engine turns the descent round, or it is a crash."""
     verdict = Simulation(scenario, 3, GivesUp(18.0)).run().outcome
     assert verdict.failure_causes == ("aborted",) or verdict.touchdown is not None

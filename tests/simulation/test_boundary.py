@@ -213,7 +213,7 @@ def test_no_object_of_the_world_is_within_the_computer(make):
     assert not {m for m in within if m.startswith(true)}
 
 
-def test_the_computer_is_not_told_the_true_start():
+def test_the_computer_does_not_receive_the_true_start():
     simulation = Simulation(camera(), 6)
     start = simulation.computer.briefing.start
     error = start.position - simulation.state.position

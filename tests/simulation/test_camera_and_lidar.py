@@ -207,7 +207,7 @@ def test_rocks_scans_and_a_prior_map_are_in_one_state(on_a_map):
         assert np.abs(error_of(simulation)[:3]).max() < 0.5
 
 
-def test_with_both_eyes_on_a_map_errors_are_no_larger_than_with_either(on_a_map):
+def test_with_both_sensors_on_a_map_errors_are_no_larger_than_with_either(on_a_map):
     spread, nees = {}, Consistency()
     for eyes, flights in on_a_map.items():
         sigma = [np.sqrt(np.diag(s.estimate.covariance)) for s in flights]
@@ -225,7 +225,7 @@ def test_with_both_eyes_on_a_map_errors_are_no_larger_than_with_either(on_a_map)
     assert nees.ratio < ratio_bounds(3 * 9, 1.25)[1]
 
 
-def test_from_a_start_that_is_far_off_nothing_is_told_of_place_and_yaw():
+def test_from_a_start_that_is_far_off_nothing_is_reported_about_place_and_yaw():
     """Rocks and scans, 3 m/s and 0.5 deg off: Jacobians about wrong places tell no more either."""
     simulation = Simulation(
         scenario("dem").changed(

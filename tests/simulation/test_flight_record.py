@@ -114,7 +114,9 @@ def test_a_divert_in_the_first_cycle_counts(small_scenario):
 
 
 @pytest.mark.parametrize("altitude", [150.0, 380.0])
-def test_a_start_within_the_decision_window_is_judged_by_where_it_aimed(small_scenario, altitude):
+def test_a_start_within_the_decision_window_is_evaluated_by_where_it_aimed(
+    small_scenario, altitude
+):
     """The oracle diverts in the first cycle; figures are those of the site that it left."""
     start = {"position_m": [-0.6 * altitude, 0.0, altitude], "velocity_m_s": [10.0, 0.0, -8.0]}
     scenario = small_scenario.changed(start=start, rocks={"cover": 0.15})

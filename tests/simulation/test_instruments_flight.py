@@ -53,7 +53,7 @@ def events(simulation: Simulation) -> list[str]:
 
 
 @pytest.mark.statistical
-def test_it_errs_as_it_says_and_comes_down_where_it_believes(scenario):
+def test_it_has_the_stated_error_and_lands_at_its_estimate(scenario):
     nees = Consistency()
     for seed in range(6):
         simulation = Simulation(scenario, seed, "no-divert")
@@ -99,7 +99,7 @@ def test_a_beam_that_lies_alone_is_shut_off_and_two_are_called_lost(scenario, of
         assert sigma.max() < 0.15
 
 
-def test_an_altimeter_that_jumps_is_doubted_and_taken_for_ground(scenario):
+def test_an_altimeter_that_jumps_is_flagged_and_taken_for_terrain(scenario):
     simulation = Simulation(scenario, 2, "no-divert")
     tampered(simulation, AltimeterReading, lambda m: replace(m, range=m.range - 60.0))
     while simulation.time < 20.0:
@@ -176,7 +176,7 @@ class Late:
 
 
 @pytest.mark.statistical
-def test_the_unscented_filter_errs_as_it_says(scenario):
+def test_the_unscented_filter_has_the_stated_error(scenario):
     plain = scenario.changed(
         navigation={"kind": "ukf"}, sensors={"flash": None}, tasking={"flash": None}
     )
@@ -201,7 +201,7 @@ def test_the_unscented_filter_errs_as_it_says(scenario):
     assert np.abs(mass).max() < 1.0
 
 
-def test_scans_speeds_and_ranges_tell_neither_place_nor_yaw(scenario):
+def test_scans_speeds_and_ranges_report_neither_place_nor_yaw(scenario):
     """Without stars and map: a hundred scans and clones, and no certainty that cannot be had."""
     blind = scenario.changed(
         sensors={"stars": None}, tasking={"flash": {"kind": "periodic", "rate_hz": 5.0}},

@@ -118,7 +118,7 @@ def test_an_engine_that_sticks_open_does_not_land(small):
     assert not flight.outcome.safe
 
 
-def test_on_legs_the_motion_gives_the_verdict(small, tmp_path):
+def test_on_legs_the_motion_gives_the_outcome(small, tmp_path):
     simulation, flight = flown(small, legs={"friction": 0.6})
     rest, last = simulation.plant.rest, flight.events[-1]
     assert rest.settled

@@ -69,7 +69,7 @@ def test_a_world_of_another_gravity_is_refused(small_scenario):
     assert Simulation(other, 1, world=heavy).briefing.surface_gravity == 1.7
 
 
-def test_rocks_are_told_as_expected_not_as_drawn():
+def test_rocks_are_reported_as_expected_not_as_drawn():
     scenario = Scenario.from_dict(SMALL_SHADOW_FLIGHT).changed(
         rocks={"cover": 0.09}, expected_rocks={"cover": 0.03}
     )
@@ -159,7 +159,7 @@ def test_the_oracle_flies_to_what_is_truly_safe(small_scenario):
     ("relief", "worlds", "good_to"),
     [(0.0, 1, 0.3), pytest.param(5.0, 20, 0.65, marks=pytest.mark.slow)],
 )
-def test_the_height_above_ground_errs_by_what_is_stated(relief, worlds, good_to):
+def test_the_height_above_terrain_has_the_stated_error(relief, worlds, good_to):
     """200 starts, each with a target of its own; above twenty pieces of ground where they roll."""
     scaled = []
     for world in range(worlds):
@@ -186,7 +186,7 @@ def test_the_height_above_ground_errs_by_what_is_stated(relief, worlds, good_to)
     assert np.mean(np.square(scaled)) == pytest.approx(1.0, abs=good_to)
 
 
-def test_the_target_is_told_as_well_as_it_is_known(small_scenario):
+def test_the_target_is_reported_as_well_as_it_is_known(small_scenario):
     own = small_scenario.changed(
         sensors={"fix": None},
         navigation={"kind": "inertial"},

@@ -60,7 +60,7 @@ def names(flight) -> list[str]:
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_diverts_that_cannot_be_are_refused_and_told(law):
+def test_diverts_that_cannot_be_are_refused_and_reported(law):
     simulation = Simulation(blind(law), 1, "no-divert")
     for _ in range(20):
         simulation.step()
@@ -101,7 +101,7 @@ def test_tanks_that_run_empty_in_flight_end_in_a_crash_that_is_recorded(law, tol
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("left", [1.0, 3.0])
-def test_a_time_too_short_to_be_kept_ends_in_a_verdict(law, left):
+def test_a_time_too_short_to_be_kept_ends_in_an_outcome(law, left):
     flight = Simulation(blind(law, approach={"time_to_go_s": left}), 1, "no-divert").run()
     assert whole(flight)
     # The optimal law takes the time that it needs.

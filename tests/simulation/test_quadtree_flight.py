@@ -89,7 +89,7 @@ def test_a_policy_lands_on_the_quadtree(flown):
     assert np.linalg.norm(touchdown[:2] - aimed[:2]) < 0.7
 
 
-def test_the_map_tells_safe_from_unsafe(flown):
+def test_the_map_distinguishes_safe_from_unsafe(flown):
     simulation, flight = flown.simulation, flown.flight
     hazard_map = flight.hazard_map
     there = hazard_map.grid.centres() - flight.map_error[:2]
@@ -149,7 +149,7 @@ def test_two_flights_of_a_seed_are_the_same():
     assert np.array_equal(mapper_of(a).map.points, mapper_of(b).map.points)
 
 
-def test_ground_is_mapped_from_the_first_scan_and_a_lock_moves_none_of_it(flown):
+def test_terrain_is_mapped_from_the_first_scan_and_a_lock_moves_none_of_it(flown):
     before, after = flown.points, cKDTree(flown.points_after)
     assert len(before) > 50_000
     # The site moved by metres, and the map was perhaps laid about it: its points did not move, but

@@ -82,7 +82,7 @@ def test_a_unit_that_starts_late_costs_certainty_and_no_trust():
     assert sum(watch.rejected_count for watch in watches) == 0
 
 
-def test_the_order_in_which_a_cycle_is_told_makes_no_difference_to_samples():
+def test_the_order_of_measurements_within_a_cycle_makes_no_difference_to_samples():
     """Inertial samples come first, whatever the order; others as they come."""
 
     def last(given: Measurements) -> Measurements:

@@ -23,7 +23,7 @@ from tests.conftest import SCENARIOS
 
 
 @pytest.mark.parametrize("policy", ["no-divert", "safest", "truth-oracle"])
-def test_a_flight_reaches_the_ground_where_it_aimed(small_scenario, policy):
+def test_a_flight_reaches_the_terrain_where_it_aimed(small_scenario, policy):
     simulation = Simulation(small_scenario, flight_seed(3, 0), policy)
     flight = simulation.run()
     touchdown = flight.outcome.touchdown
@@ -82,7 +82,7 @@ def test_sites_out_of_reach_are_refused(small_scenario):
     assert simulation.computer.telemetry[-1][1] == "divert-refused"
 
 
-def test_verdict_is_that_of_the_true_ground(small_scenario):
+def test_outcome_is_that_of_the_true_terrain(small_scenario):
     simulation = Simulation(small_scenario, flight_seed(1, 0), "no-divert")
     verdict = simulation.run().outcome
     again = evaluate_touchdown(
@@ -98,7 +98,7 @@ def test_an_ideal_attitude_flies_too(small_scenario):
     assert flight.outcome.touchdown.horizontal_speed < 0.5
 
 
-def test_support_planes_see_more_safe_ground_on_relief(small_scenario):
+def test_support_planes_see_more_safe_terrain_on_relief(small_scenario):
     """The same flights, judged through the support planes: more is found, little of it wrong."""
     rough = small_scenario.changed(
         terrain={"rms_slope_deg": 5.0}, mappers={"dem": {"posting_m": 0.3, "size_m": 50.0}}
@@ -144,7 +144,7 @@ def test_gimbal_points_at_the_site(small_scenario):
     assert [e["name"] for e in flight.events].count("scan") == 2
 
 
-def test_true_share_of_safe_ground_predicts_blind_landings(small_scenario):
+def test_true_share_of_safe_terrain_predicts_blind_landings(small_scenario):
     """Blind touchdowns on exactly safe cells are judged safe by the finer verdict."""
     agreements = []
     for i in range(6):
@@ -281,7 +281,7 @@ def test_a_time_that_the_mission_fixes_stands(small_scenario):
     assert not [1 for _, name, _ in found.computer.telemetry if name == "time-to-go-extended"]
 
 
-def test_a_gimbal_stops_at_its_limit_whatever_it_is_told(small_scenario):
+def test_a_gimbal_stops_at_its_limit_whatever_it_is_given(small_scenario):
     stiff = small_scenario.changed(sensors={"flash": {"gimbal_limit_deg": 20.0}})
     simulation = Simulation(stiff, flight_seed(4, 0), None)
     while simulation.altitude > 200.0:

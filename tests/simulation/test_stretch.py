@@ -44,7 +44,7 @@ def refusals(simulation):
 
 @pytest.mark.parametrize("away", [AWAY, None], ids=["new", "present"])
 @pytest.mark.parametrize("time_scale", [1, 1.1, np.float32(1.25)])
-def test_a_stretch_is_of_the_cheapest_time(flying, away, time_scale):
+def test_a_time_scale_multiplies_the_cheapest_time(flying, away, time_scale):
     site = None if away is None else flying.site + away
     goal = flying.site if site is None else site
     left = cheapest(flying, goal)
@@ -116,7 +116,7 @@ def test_where_others_set_the_time_the_site_is_taken_alone(small_scenario, chang
     assert refusals(flying) == [("time-scale-refused", reason)] * 2
 
 
-def test_below_the_approach_there_is_nothing_to_stretch(flying):
+def test_below_the_approach_there_is_no_time_to_scale(flying):
     while flying.altitude > 8.0:
         flying.move()
     flying.apply(Decision(None, "late", time_scale=1.2))
@@ -131,7 +131,7 @@ class Plain(ApolloLaw):
         return divert_cost(estimate, end, lander, gravity, limits=limits, shape=self.shape)
 
 
-def test_a_law_that_knows_no_times_flies_without_stretches(small_scenario, monkeypatch):
+def test_a_law_that_knows_no_times_flies_without_time_scales(small_scenario, monkeypatch):
     monkeypatch.setenv("LUNARSIM_ALLOW_MODULES", __name__)
     own = small_scenario.changed(guidance={"kind": f"{__name__}:Plain"})
     flying = deciding(own)
@@ -139,11 +139,11 @@ def test_a_law_that_knows_no_times_flies_without_stretches(small_scenario, monke
 
 
 @pytest.mark.parametrize("time_scale", [0.0, -1.0, np.nan, np.inf, "1", True, [1.1]], ids=str)
-def test_what_is_no_stretch_is_refused(time_scale):
+def test_what_is_no_time_scale_is_refused(time_scale):
     with pytest.raises(InputError, match=r"decision\.time_scale"):
         Decision(None, "stay", time_scale=time_scale)
 
 
-def test_an_abort_has_no_stretch():
+def test_an_abort_has_no_time_scale():
     with pytest.raises(InputError, match=r"decision\.time_scale: must be None if abort is True"):
         replace(Decision.climb_away("up"), time_scale=1.1)

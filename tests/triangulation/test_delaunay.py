@@ -7,25 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay, QhullError
 
-from lunarsim.triangulation import _geometry_kernels as kernels
 from lunarsim.triangulation import delaunay, delaunay_of_image
+from tests.reference.triangulation import in_circle
 
 
 def orientation(points: list[list[int]], t) -> int:
     (ax, ay), (bx, by), (cx, cy) = (points[i] for i in t)
     return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-
-
-def in_circle(a, b, c, p) -> int:
-    """Sign of the in-circle determinant in Python's unbounded integers."""
-    rows = [(x - p[0], y - p[1]) for x, y in (a, b, c)]
-    (ax, ay), (bx, by), (cx, cy) = rows
-    d = (
-        (ax * ax + ay * ay) * (bx * cy - by * cx)
-        + (bx * bx + by * by) * (cx * ay - cy * ax)
-        + (cx * cx + cy * cy) * (ax * by - ay * bx)
-    )
-    return (d > 0) - (d < 0)
 
 
 def check_delaunay(xy: np.ndarray, triangles: np.ndarray) -> None:
@@ -89,21 +77,6 @@ def test_random_points_agree_with_qhull(seed):
     # Integers, so that nothing is rounded before the predicates.
     xy = np.rint(np.random.default_rng(seed).random((5000, 2)) * 2**24)
     assert edges(delaunay(xy)) == edges(Delaunay(xy).simplices)
-
-
-@given(*[st.integers(0, 2**24)] * 8)
-def test_predicate_is_exact(ax, ay, bx, by, cx, cy, px, py):
-    wanted = in_circle((ax, ay), (bx, by), (cx, cy), (px, py))
-    assert kernels.in_circle(ax, ay, bx, by, cx, cy, px, py) == wanted
-
-
-@given(st.integers(1, 2**12), st.integers(0, 2**11), st.integers(-1, 1))
-def test_predicate_on_nearly_cocircular_points(r, shift, off):
-    """Corners of a square and a point a unit off its circle: the float filter cannot tell."""
-    s = 1000 * r + shift
-    corners = (0, 0), (s, 0), (s, s)
-    p = (0 + off, s)
-    assert kernels.in_circle(*corners[0], *corners[1], *corners[2], *p) == in_circle(*corners, p)
 
 
 def test_lattice():

@@ -13,11 +13,8 @@ from lunarsim.models.jet_lander import DescentEngine, JetLander, centre_of_mass
 from lunarsim.models.lander import STANDARD_GRAVITY, Lander
 from lunarsim.models.thrusters import Thrusters
 from lunarsim.vehicle import Dynamics, State
-from lunarsim.vehicle import _kernels as kernels
 from lunarsim.vehicle.actuators import Actuators
-from lunarsim.vehicle.dynamics import build_rig
 from lunarsim.vehicle.faults import Faults
-from tests.reference import dynamics as plain
 
 STEP, ALMOST_NOTHING = 0.01, 1e-12
 LANDER = JetLander(thrust_lag=0.0)
@@ -44,34 +41,6 @@ def run(actuators, steps, state, throttle=0.0, gravity=ALMOST_NOTHING, step=STEP
     for _ in range(steps):
         states.append(actuators.advance(dynamics, states[-1], throttle))
     return states
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_rate_of_change_with_all_that_acts(seed):
-    rng = np.random.default_rng(seed)
-    q = rng.standard_normal(4)
-    y = np.concatenate(
-        (
-            rng.normal(0.0, 100.0, 6),
-            q / np.linalg.norm(q),
-            rng.normal(0.0, 0.5, 3),
-            [1300.0, 2500.0],
-        )
-    )
-    direction = np.array([*rng.normal(0.0, 0.1, 2), 1.0])
-    rig = {
-        "force": rng.normal(0.0, 80.0, 3), "flow": 0.05,
-        "engine": direction / np.linalg.norm(direction), "pivot": rng.normal(0.0, 1.0, 3),
-        "com_dry": rng.normal(0.0, 0.1, 3), "com_full": rng.normal(0.0, 0.3, 3),
-    }  # fmt: skip
-    args = (
-        4000.0, rng.normal(0.0, 50.0, 3), 1.6, 3000.0, 0.2, 900.0, 1500.0,
-        np.array([700.0, 800.0, 1100.0]), np.array([900.0, 1500.0, 1900.0]),
-    )  # fmt: skip
-    out = np.empty(15)
-    kernels.derivative(y, out, *args, build_rig(**rig))
-    wanted = plain.rigged_rate_of_change(y, *args, **rig)
-    assert out == pytest.approx(wanted, rel=1e-12, abs=1e-12)
 
 
 def test_a_pulse_gives_its_impulse_however_it_falls_on_the_steps():

@@ -92,7 +92,7 @@ def test_what_guidance_knows_is_what_moves_the_vehicle():
         assert (v1 - v) / 1e-3 == pytest.approx(moon.free_fall_acceleration(r, v), abs=1e-5)
 
 
-def test_level_ground_is_left_within_what_curvature_says():
+def test_flat_terrain_is_left_within_what_curvature_says():
     """Where and how far both agree: (2 h / R) g more or less, and s / R g sideways."""
     moon, flat = RoundMoon().gravity(G), UniformGravity(G)
     for way, height in ((600.0, 500.0), (1_000.0, 1_000.0), (10_000.0, 2_500.0)):

@@ -32,7 +32,7 @@ def standing(height: float = 0.0, **changes) -> State:
     return replace(state, **changes)
 
 
-def test_flat_ground_is_safe():
+def test_flat_terrain_is_safe():
     verdict = evaluate_touchdown(LANDER, standing(), flat_terrain(), G)
     assert verdict.safe
     assert verdict.failure_causes == ()
@@ -109,7 +109,7 @@ def test_the_least_margin_is_that_of_the_nearest_limit(speeds, margin):
     st.floats(0.0, 4.0), st.floats(0.0, 2.0), st.floats(0.0, 15.0), st.floats(0.0, 0.3),
     st.floats(0.0, 0.5),
 )  # fmt: skip
-def test_a_margin_below_zero_is_a_verdict_that_failed(down, across, tilt, rate, radius):
+def test_a_margin_below_zero_is_an_outcome_that_failed(down, across, tilt, rate, radius):
     state = standing(
         velocity=np.array([across, 0.0, -down]), rate=np.array([rate, 0.0, 0.0]),
         attitude=attitude_from_thrust([np.tan(np.deg2rad(tilt)), 0.0, 1.0], np.pi / 2),
@@ -119,7 +119,7 @@ def test_a_margin_below_zero_is_a_verdict_that_failed(down, across, tilt, rate, 
     assert (min_touchdown_margin(LANDER, verdict.touchdown) < 0.0) == (not verdict.safe)
 
 
-def test_of_unknown_ground_the_margin_is_not_known():
+def test_of_unknown_terrain_the_margin_is_not_known():
     verdict = evaluate_touchdown(
         LANDER, standing(position=np.array([100.0, 0.0, 1.6])), flat_terrain(), G
     )
@@ -180,7 +180,7 @@ def test_a_margin_of_roughness_is_counted_to_the_lesser_of_its_limits():
 
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))
-def test_four_legs_stand_above_the_ground(heights):
+def test_four_legs_stand_above_the_terrain(heights):
     """On an admissible plane no leg is under ground, and three touch it."""
     legs = np.column_stack((LANDER.pads[:, :2], heights))
     planes = np.empty((2, 3))

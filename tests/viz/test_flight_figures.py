@@ -44,11 +44,11 @@ def _map(p, observed=True, in_domain=None):
         (_map([0.1, 0.9, 0.5, 0.6], in_domain=False), "is outside its calibrated domain"),
     ],
 )
-def test_a_map_that_tells_nothing_is_spoken_of(hazard_map, words):
+def test_a_map_that_reports_nothing_is_spoken_of(hazard_map, words):
     assert words in map_remark(hazard_map)
 
 
-def test_a_map_that_tells_one_place_from_another_is_not():
+def test_a_map_that_distinguishes_one_place_from_another_is_not():
     assert map_remark(_map([0.1, 0.9, 0.5, 0.6])) is None
     assert map_remark(_map([0.1, 0.9, 0.5, 0.6], in_domain=True)) is None
 

@@ -65,7 +65,7 @@ def test_pads_stand_as_the_lander_came_down(flown, drawn):
 
 
 @pytest.mark.parametrize("raised", range(4))
-def test_no_pad_stands_below_the_ground(flown, drawn, raised):
+def test_no_pad_stands_below_the_terrain(flown, drawn, raised):
     """One pad on a rock: two of the planes of three pads would need another one in the ground."""
     record, world, lander = flown
     level = flat_terrain(size=160.0)

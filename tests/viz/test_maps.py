@@ -116,7 +116,7 @@ def test_the_legend_shows_marks_as_they_are_drawn(flown, drawn):
     assert handles["ground track"].get_color() == path.get_color()
 
 
-def test_safe_ground_has_the_colour_that_the_legend_names(flown, drawn):
+def test_safe_terrain_has_the_colour_that_the_legend_names(flown, drawn):
     _, _, truth = flown
     figure = drawn(*flown)
     handles = {handle.get_label(): handle for handle in figure.legends[0].legend_handles}
@@ -144,7 +144,7 @@ def test_bars_lie_below_their_own_panels(flown, drawn):
         assert outer.x0 - 10.0 < inner.x0 and inner.x1 < outer.x1 + 10.0
 
 
-def test_words_on_a_map_stay_within_their_panel_of_tall_ground(flown, drawn):
+def test_words_on_a_map_stay_within_their_panel_of_tall_terrain(flown, drawn):
     record, world, _ = flown
     grid = Grid(x0=-16.0, y0=-30.0, posting=0.5, rows=121, cols=65)
     tall = World(Terrain(Heightfield(grid, np.zeros(grid.shape, np.float32))), 1.622, world.light)
@@ -217,7 +217,7 @@ def test_outlines_of_reach_part_what_is_in_reach_from_what_is_not(flown):
     assert without.mean() < 0.1
 
 
-def test_reach_is_told_for_the_rows_that_decisions_fall_in(flown):
+def test_reach_is_reported_for_the_rows_that_decisions_fall_in(flown):
     """To the row: heights of the pads' foot above the site, after the first map."""
     record = flown[0]
     t, scenario = record.trajectory, Scenario.from_toml(record.scenario)
@@ -234,7 +234,7 @@ def test_reach_is_told_for_the_rows_that_decisions_fall_in(flown):
     assert decision_rows(replace(narrow, first_map=mapped)) == (early + 2, late)
 
 
-def test_reach_is_surveyed_where_the_panel_is_and_on_the_mapped_ground(flown, monkeypatch):
+def test_reach_is_surveyed_where_the_panel_is_and_on_the_mapped_terrain(flown, monkeypatch):
     record, asked = flown[0], []
     record = replace(record, maps={
         name: replace(kept, error=np.array([3.0, -2.0, 0.0])) for name, kept in record.maps.items()

@@ -36,7 +36,7 @@ def test_hapke_is_the_plain_reference_at_random_geometries_and_parameters():
 
 
 @pytest.mark.parametrize("photometry", ["lambert", "lunar-lambert", "hapke"])
-def test_sun_and_eye_may_change_places(photometry):
+def test_sun_and_sensor_may_change_places(photometry):
     """Helmholtz's reciprocity: I/F over the cosine of incidence is symmetric."""
     light = Light(photometry=photometry)
     i, e, _, cos_g = geometries(np.random.default_rng(2), 500)

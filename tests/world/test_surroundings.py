@@ -81,7 +81,7 @@ def test_levels_are_built_when_they_are_looked_at(monkeypatch):
     assert made == [1_000.0, 40.0]
 
 
-def test_rays_meet_the_ground_where_small_steps_do(ground):
+def test_rays_meet_the_terrain_where_small_steps_do(ground):
     rng = np.random.default_rng(7)
     for _ in range(12):
         origin = np.array([*rng.uniform(-30_000.0, 30_000.0, 2), rng.uniform(2_000.0, 9_000.0)])

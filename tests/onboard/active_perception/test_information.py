@@ -31,7 +31,7 @@ def test_rocks_that_cannot_be_are_refused(cover, least):
         ExpectedRocks.golombek(cover, least)
 
 
-def test_a_look_that_misses_nothing_tells_all_and_one_that_misses_all_nothing():
+def test_an_observation_that_misses_nothing_is_complete_and_one_that_misses_all_is_empty():
     rocks = ExpectedRocks.golombek(0.08, 0.5)
     assert removed_uncertainty(rocks, 1.0, lambda q: 0.0 * q, 3.0) == pytest.approx(1.0)
     assert removed_uncertainty(rocks, 1.0, lambda q: 0.0 * q + 1.0, 3.0) == pytest.approx(0.0)
@@ -41,7 +41,7 @@ def test_a_look_that_misses_nothing_tells_all_and_one_that_misses_all_nothing():
     assert 0.8 < told[-1] < 1.0  # the floor of the miss rate stays
 
 
-def test_it_is_the_mutual_information_of_hazard_and_look():
+def test_it_is_the_mutual_information_of_hazard_and_observation():
     """Drawn: of a million places, those with a hazard show one unless it is missed."""
     rng = np.random.default_rng(4)
     rocks, missed = ExpectedRocks.golombek(0.1, 0.5), 0.3
@@ -77,7 +77,7 @@ def test_squares_know_what_the_map_has_seen():
     np.testing.assert_allclose(nodes[:, 3], 1.0)
 
 
-def test_ground_that_the_mission_excludes_has_no_weight():
+def test_terrain_that_the_mission_excludes_has_no_weight():
     eligible = np.ones((8, 8), bool)
     eligible[:4] = False
     eligible[4, :] = False

@@ -45,7 +45,7 @@ def test_knowledge_that_costs_too_much_is_not_bought(paper):
     assert dear.plan.known_fraction < free.plan.known_fraction
 
 
-def test_ground_that_is_known_is_not_looked_at_again(paper):
+def test_terrain_that_is_known_is_not_looked_at_again(paper):
     law, asked = at_start(paper)
     unknown, _ = at_start(paper)
     grid = Grid.centred(np.zeros(2), 60.0, 1.0)
@@ -176,7 +176,7 @@ def test_a_lander_that_sees_nothing_is_refused():
         Simulation(blind, 1)
 
 
-def test_schedules_tell_where_they_measure():
+def test_schedules_report_where_they_measure():
     assert Periodic(first_altitude=250.0).measurement_altitudes == MeasurementAltitudes(
         highest=250.0
     )

@@ -64,7 +64,7 @@ def plain_eye(eye, looks, stations=()):
 @pytest.mark.parametrize("change", [
     {}, {"half_field": 0.05}, {"gimbal_limit": np.radians(20.0)}, {"max_range": 150.0},
 ])  # fmt: skip
-def test_the_kernel_is_given_what_the_lander_and_its_eyes_are(asked, change):
+def test_the_kernel_is_given_what_the_lander_and_its_sensors_are(asked, change):
     """Scores of the paper's lander and camera are those of looks taken one by one."""
     _, problem, eye = asked
     looks, max_final_tilt = MeasurementAltitudes(highest=300.0, lowest=60.0), 0.4
@@ -133,7 +133,7 @@ def test_what_is_flown_stays_unless_another_is_better(asked):
     assert isinstance(kept, PathPlan)
 
 
-def test_looks_that_are_past_count_no_more(asked):
+def test_observations_that_are_past_count_no_more(asked):
     _, problem, eye = asked
     one = planner(eye, MeasurementAltitudes(at=(300.0, 120.0)))
     plans = one.sample_plans(problem, 47.0, 400)
@@ -147,7 +147,7 @@ def test_looks_that_are_past_count_no_more(asked):
 
 
 @pytest.mark.parametrize("mass, by_tilt", [(None, False), (150.0, True)])
-def test_ground_far_off_needs_time_to_be_flown_to(asked, paper, mass, by_tilt):
+def test_terrain_far_off_needs_time_to_be_flown_to(asked, paper, mass, by_tilt):
     law, first, _ = asked
     here = replace(first.estimate, mass=mass or first.estimate.mass)
     problem = law.problem(here, first.end, first.site)

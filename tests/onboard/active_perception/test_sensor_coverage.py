@@ -55,7 +55,7 @@ def test_a_camera_is_as_sharp_as_the_shadow_model_says(camera):
     np.testing.assert_allclose(camera.sun, np.array([-1.0, -1.0]) / np.sqrt(2.0))
 
 
-def test_shadows_of_other_rocks_hide_ground_the_more_the_more_there_are(camera):
+def test_shadows_of_other_rocks_hide_terrain_the_more_the_more_there_are(camera):
     crowded = build_camera_model("camera", CameraInstrument(np.pi), briefing(cover=0.15), 0.5)
     assert (crowded.visible_fraction <= camera.visible_fraction).all()
     assert (crowded.visible_fraction < camera.visible_fraction)[:, -1].all()
@@ -110,7 +110,7 @@ def test_beyond_the_greatest_incidence_nothing_comes_back():
     assert (eye.sharpness[depression > np.radians(30.1)] > 0.0).all()
 
 
-def test_only_what_a_mapper_takes_and_something_points_is_an_eye():
+def test_only_what_a_mapper_takes_and_something_points_is_a_sensor():
     assert [e.name for e in build_coverage_models(briefing(), 0.5)] == ["camera", "flash"]
     assert [e.name for e in build_coverage_models(briefing(mappers=("flash",)), 0.5)] == ["flash"]
     assert [e.name for e in build_coverage_models(briefing(tasked=("flash",)), 0.5)] == ["flash"]
@@ -118,7 +118,7 @@ def test_only_what_a_mapper_takes_and_something_points_is_an_eye():
     assert build_coverage_models(briefing(mappers=()), 0.5) == []
 
 
-def test_instruments_tell_pixel_and_field():
+def test_instruments_report_pixel_and_field():
     camera = FramingCamera(width=320, height=240, field_of_view=np.radians(60.0)).calibration()
     assert camera.pixel == pytest.approx(np.tan(np.radians(30.0)) / 160.0)
     assert camera.tan_half_fov == pytest.approx(0.75 * np.tan(np.radians(30.0)))

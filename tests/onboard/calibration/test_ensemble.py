@@ -90,7 +90,7 @@ def test_where_nothing_is_claimed_nothing_is_surely_safe(low, most, least, margi
         assert beyond <= doubted
 
 
-def test_what_no_world_can_tell_is_what_a_world_of_750_sites_may_hide():
+def test_the_floor_is_what_a_world_of_750_sites_may_hide():
     # One site of 250 unsafe: none of 750 shows it in one case of twenty.
     hidden = (1.0 - MAX_CLAIM_DEFICIT) ** 750
     assert hidden == pytest.approx(0.05, abs=0.001)

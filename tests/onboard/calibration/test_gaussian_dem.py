@@ -67,7 +67,7 @@ weights = st.integers(0, 10_000).map(
     st.floats(2.0, 200.0),
     st.floats(0.0, 0.5),
 )
-def test_worse_ground_is_never_called_safer(model, slope, rough, times, density, worse):
+def test_worse_terrain_is_never_called_safer(model, slope, rough, times, density, worse):
     """Whatever weights a fit finds, in the domain, outside, and across its edge."""
     here = {"slope": slope, "rough": rough, "density": density, "curve": rocky(times)}
     p, _ = calibrated_safety(evidence(**here), model)
@@ -86,7 +86,7 @@ def test_worse_ground_is_never_called_safer(model, slope, rough, times, density,
 
 
 @given(weights, st.integers(0, 10_000), st.floats(1.0, 3.0), st.floats(2.0, 200.0), st.floats(0, 1))
-def test_ground_with_taller_rocks_is_never_called_safer(model, seed, times, density, slope):
+def test_terrain_with_taller_rocks_is_never_called_safer(model, seed, times, density, slope):
     """Some of the samples that met a rock, or fell into a hole, met a greater one."""
     rng = np.random.default_rng(seed)
     rises = np.zeros(int(rng.choice([300, 3000])))
@@ -157,7 +157,7 @@ def test_where_fits_differ_the_lowest_counts_and_is_no_frequency():
         assert (known == claims).all()
 
 
-def test_of_what_is_not_surely_safe_less_is_told_and_far_off_the_bound_at_most():
+def test_uncertain_safety_is_reported_lower_and_at_most_the_bound_far_away():
     e = evidence(slope=0.1, rough=0.1, level=-1.0, planes=6.0, curve=rocky(0.01))
     far = evidence(slope=0.1, rough=0.1, level=-1.0, planes=6.0, density=0.01)
     assert (outside_domain_bound(e) == 1.0).all()
@@ -184,7 +184,7 @@ def test_of_what_is_not_surely_safe_less_is_told_and_far_off_the_bound_at_most()
     assert known.all()
 
 
-def test_among_sites_all_but_hopeless_the_best_is_told():
+def test_among_sites_all_but_hopeless_the_best_is_reported():
     """Rocks by the thousand may stand unseen, so nothing is left; slopes are known all the same."""
     slope = np.repeat(np.linspace(0.1, 2.5, SIDE)[:, None], SIDE, axis=1)
     e = evidence(slope=slope, rough=0.1, level=-8.0, planes=1.0 - slope, density=1e-4)
@@ -263,7 +263,7 @@ def test_on_a_slope_it_is_at_most_the_chance_that_no_unseen_rock_lies_under_a_pa
         assert (claimed == (most > ALMOST_CERTAINLY_SAFE_P)).all()
 
 
-def test_unobserved_ground_is_not_safe():
+def test_unobserved_terrain_is_not_safe():
     seen = np.zeros((SIDE, SIDE), bool)
     seen[1:3] = True
     p, known = calibrated_safety(evidence(seen=seen))
@@ -354,7 +354,7 @@ def test_unseen_rocks_are_those_that_random_samples_miss():
     assert curve.unseen_rocks(height, 2.0 * density) < curve.unseen_rocks(height, density)
 
 
-def test_the_law_raises_as_much_ground_as_its_rocks_do():
+def test_the_law_raises_as_much_terrain_as_its_rocks_do():
     h, cover = 0.2, 0.1
     wide = np.linspace(0.4, 6.0, 40_000)
     number = golombek_number(wide, cover)

@@ -70,7 +70,7 @@ domains = st.builds(
     st.floats(2.0, 200.0),
     st.floats(0.0, 0.5),
 )
-def test_worse_ground_is_never_called_safer(
+def test_worse_terrain_is_never_called_safer(
     inside, outside, domain, slope, rough, times, density, worse
 ):
     """Whatever a fit finds, in either domain, outside, and across their edges."""
@@ -169,7 +169,7 @@ def test_in_its_domain_rocks_under_the_pads_are_what_its_sites_were():
     assert (q <= p_no_rock_under_pads(e) + UNKNOWN_MODEL_WEIGHT).all()
 
 
-def test_worse_evidence_beyond_its_domain_is_told_no_better_however_low_it_is():
+def test_worse_evidence_beyond_its_domain_is_reported_no_better_however_low_it_is():
     own = refit((-9.0, 1.0), (-9.0, 1.0))
     for beyond in (-0.1, -2.0, -8.0):
         odds, one = np.array([0.0, beyond]), np.ones(2)

@@ -307,7 +307,7 @@ def test_what_thrusters_could_not_give_is_forgotten_but_for_a_pulse():
     assert np.abs(sums).max() <= made.allocation.min_impulse.max() * (1.0 + 1e-9)
 
 
-def test_the_watch_is_told_turns_about_the_centre_of_mass():
+def test_the_watch_receives_rotations_about_the_centre_of_mass():
     com = np.array([0.1, -0.2, 0.5])
     lander = JetLander(com_dry=tuple(com), com_full=tuple(com))
     made, told = loop(Asking([40.0, 25.0, -30.0]), lander), []

@@ -123,7 +123,7 @@ def test_replay_gives_the_torques_as_flown(law):
         assert replayed.state.tobytes() == flown.state.tobytes()
 
 
-def test_inertia_is_that_of_the_mass_it_is_told():
+def test_inertia_is_that_of_the_mass_it_is_given():
     target = quat_from_rotation_vector([1e-3, 2e-3, -1e-3])
     torques = []
     for mass in (LANDER.wet_mass, LANDER.dry_mass):
@@ -135,7 +135,7 @@ def test_inertia_is_that_of_the_mass_it_is_told():
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_command_begins_from_the_attitude_that_navigation_tells(law):
+def test_a_command_begins_from_the_attitude_of_navigation(law):
     """Wherever the gyroscopes had taken it: told to be where it shall be, it asks for nothing."""
     target = attitude_from_thrust([0.4, -0.3, 1.0], 0.8)
     loop = begun(law(), target)

@@ -47,7 +47,7 @@ def test_one_that_dies_late_is_noticed_late():
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_none_is_given_up_for_nothing(seed):
+def test_none_is_abandoned_without_a_reason(seed):
     steady = (0.01, -0.006, 0.003)
     watch, found = watched([], 3_000, steady=steady, known=2e-3, seed=seed)
     assert found == []
@@ -86,13 +86,13 @@ def test_torques_are_made_without_the_dead(out):
         assert times @ jets.torques == pytest.approx(torque, abs=4.0)
 
 
-def test_what_cannot_turn_every_way_is_told():
+def test_thrusters_that_cannot_turn_every_way_are_reported():
     up = [0, 4, 8, 12, 1, 5, 9, 13]  # all that push along body z
     assert not ThrusterAllocation(Thrusters(), up).spans_all_torques
     assert ThrusterAllocation(Thrusters()).spans_all_torques
 
 
-def test_a_guess_is_no_verdict_and_what_is_not_seen_is_not_forgotten():
+def test_a_guess_is_no_outcome_and_what_is_not_seen_is_not_forgotten():
     """An estimate under a half is not enough while it may be wrong; doubt stops growing."""
     watch, nothing = ThrusterFailureDetector(16), np.zeros((16, 3))
     faint = nothing.copy()

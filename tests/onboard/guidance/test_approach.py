@@ -28,7 +28,7 @@ def test_many_sites_have_many_ends_and_one_speed():
     assert end.velocity.shape == (3,)
 
 
-def test_the_descent_ends_with_the_pads_on_the_ground():
+def test_the_descent_ends_with_the_pads_on_the_terrain():
     end = Approach(10.0, 2.5).touchdown_end([3.0, 4.0, 5.0], LANDER)
     assert np.array_equal(end.position, [3.0, 4.0, 6.5])
     assert np.array_equal(end.velocity, [0.0, 0.0, -2.5])

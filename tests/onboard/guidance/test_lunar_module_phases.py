@@ -100,7 +100,7 @@ def test_braking_trims_at_the_least_thrust_first():
     assert early.attitude == pytest.approx(late.attitude)
 
 
-def test_braking_keeps_the_lift_unless_told_to_keep_the_direction():
+def test_braking_keeps_the_lift_unless_asked_to_keep_the_direction():
     lander, a = Lander(), np.array([6.0, 0.0, -1.0])
     for changed, give in (
         ({"max_tilt": 2.0}, thrust_lift_first),

@@ -223,7 +223,7 @@ def test_problems_that_differ_by_little_are_other_problems_too(change):
         (R, V, LANDER.dry_mass + 5.0),
     ],
 )
-def test_states_beyond_what_it_was_taught_are_not_told(position, velocity, mass):
+def test_states_beyond_what_it_was_taught_are_not_reported(position, velocity, mass):
     flight = NeuralOptimalLaw().build(BRIEFING, 0.0)
     flight.command(estimate(position, velocity, mass), END, 0.0, 40.0)
     assert [told["reason"] for _, _, told in flight.events] == ["outside the training domain"]

@@ -301,7 +301,7 @@ def test_apollo_takes_over_from_a_plan_too(monkeypatch):
 
 
 @pytest.mark.parametrize("expected", [34.0, 24.0])
-def test_a_solver_that_finds_no_path_where_there_is_one_is_told_so(monkeypatch, expected):
+def test_a_solver_that_finds_no_path_where_there_is_one_is_reported(monkeypatch, expected):
     """At 24 s there is none, a little later there is."""
     monkeypatch.setattr(optimal_law, "search_near", lambda *given, **more: None)
     flight = OptimalLaw(intervals=10).build(BRIEFING, 0.0)
@@ -358,7 +358,7 @@ def test_after_its_end_the_end_of_a_plan_is_held(searches):
     assert np.allclose(got, push)
 
 
-def test_reach_is_told_by_the_law_that_it_falls_back_to():
+def test_reach_is_that_of_the_law_that_it_falls_back_to():
     sites = np.array([[0.0, 0.0, 11.6], [80.0, 40.0, 11.6]])
     ends = replace(END, position=sites)
     mine = OptimalLaw().cost(estimate(), ends, LANDER, MOON)

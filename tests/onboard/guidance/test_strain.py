@@ -23,11 +23,11 @@ def first(commands: list[np.ndarray], mass: float = 1000.0, start: float = 0.0) 
 
 
 @pytest.mark.parametrize("start", [0.0, 31.7])
-def test_leaning_too_far_for_half_a_second_is_told(start):
+def test_leaning_too_far_for_half_a_second_is_reported(start):
     assert first([leaning(45.0)] * 20, start=start) == 0.5
 
 
-def test_pushing_too_hard_is_told():
+def test_pushing_too_hard_is_reported():
     assert first([leaning(10.0, 5.2)] * 20) == 0.5
     assert first([leaning(10.0, 5.2)] * 20, mass=900.0) is None
 
@@ -40,7 +40,7 @@ def test_what_comes_and_goes_is_nothing():
     assert first(([leaning(45.0)] * 5 + [leaning(39.0)]) * 10) is None
 
 
-def test_it_begins_anew_once_told():
+def test_it_starts_again_after_a_report():
     strain = LimitViolationMonitor()
     told = [n for n in range(30) if strain.exceeds_duration(leaning(60.0), 1000.0, MOST, 0.1 * n)]
     assert told == [5, 11, 17, 23, 29]

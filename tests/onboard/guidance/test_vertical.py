@@ -35,7 +35,7 @@ def test_vertical_descent_settles_on_its_speed_above_the_target():
     assert np.hypot(*v[:2]) < 0.2
 
 
-def test_vertical_descent_stays_upright_near_the_ground():
+def test_vertical_descent_stays_upright_near_the_terrain():
     law = VerticalDescent(G)
     command = law.command(estimate([5.0, 0.0, 0.1], [0.0, 0.0, -2.0]), GROUND, 0.0)
     lean = np.arctan2(np.hypot(command[0], command[1]), command[2])
@@ -71,7 +71,7 @@ def test_one_that_can_stop_comes_down_as_planned():
     assert fast[2] > G + 0.1
 
 
-def test_a_lander_below_where_the_ground_should_be_still_goes_down():
+def test_a_lander_below_where_the_terrain_should_be_still_goes_down():
     law = VerticalDescent(G)
     command = law.command(estimate([0.0, 0.0, -1.0], [2.0, 0.0, 0.0]), GROUND, 0.0)
     assert command[2] < G

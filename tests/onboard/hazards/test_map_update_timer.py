@@ -8,7 +8,7 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.map_update_timer import MapUpdateTimer
 
 
-def test_a_map_is_due_once_an_interval_and_always_where_nobody_tells_the_time():
+def test_a_map_is_due_once_an_interval_and_always_without_a_time():
     times = MapUpdateTimer(0.3)
     times.mark_updated()
     assert times.is_due

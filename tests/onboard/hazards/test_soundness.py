@@ -89,7 +89,7 @@ def mapped(name: str, terrain: Terrain):
 
 
 @pytest.mark.parametrize("name", list(MAPPERS))
-def test_no_map_calls_steeper_ground_safer(name):
+def test_no_map_calls_steeper_terrain_safer(name):
     middle = (np.abs(MAP.centres()) < 3.0).all(axis=-1)
     p = []
     for tilt in TILTS:
@@ -104,7 +104,7 @@ def test_no_map_calls_steeper_ground_safer(name):
 
 
 @pytest.mark.parametrize("name", list(MAPPERS))
-def test_no_map_calls_rockier_ground_safer(name):
+def test_no_map_calls_rockier_terrain_safer(name):
     bare, few, many = (mapped(name, tilted(0.0, n)).p_safe.mean() for n in (0, 25, 150))
     assert bare > few > many
 
@@ -127,7 +127,7 @@ def test_what_is_claimed_holds_where_small_rocks_under_a_pad_tilt_the_lander_ove
 
 @pytest.mark.parametrize("name", ["calibrated", "quadtree"])
 @pytest.mark.parametrize("expected", [0.05, 1e-6])
-def test_gravel_is_not_taken_for_bare_ground(name, expected):
+def test_gravel_is_not_taken_for_bare_terrain(name, expected):
     """Sites claimed safe are safe, even where gravel adds tilt, expected or not."""
     rocks = RockExpectation(cover=expected)
     made = {"calibrated": GaussianDemMapper, "quadtree": QuadtreeMapper}[name]
@@ -329,7 +329,7 @@ def test_a_site_is_surely_unsafe_only_where_it_is_so_without_its_holes():
 
 
 @pytest.mark.parametrize("name", [*SITE, "density", "min_density"])
-def test_a_site_of_which_anything_is_unknown_is_not_judged(name):
+def test_a_site_of_which_anything_is_unknown_is_not_evaluated(name):
     for value in (np.nan, np.inf):
         own = site(0.02, **{name: value})
         assert not own.is_evaluated.any()

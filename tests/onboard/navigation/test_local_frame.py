@@ -194,7 +194,7 @@ def test_an_estimate_in_the_site_frame_is_turned_whole():
     )
 
 
-def test_velocity_in_the_site_frame_errs_by_its_azimuth():
+def test_velocity_in_the_site_frame_has_the_error_of_its_azimuth():
     """An azimuth error a causes the velocity error a times up x velocity in the site frame."""
     state, frame = own()
     state.covariance[:] = 0.0

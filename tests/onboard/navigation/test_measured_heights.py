@@ -75,7 +75,7 @@ def test_height_correction_equals_plain_update(gradient, off):
 
 
 @pytest.mark.parametrize("wrong", [-3.0, 2.0])
-def test_rocks_begun_at_a_wrong_height_stand_where_lines_of_sight_meet_measured_ground(wrong):
+def test_rocks_started_at_a_wrong_height_stand_where_lines_of_sight_meet_measured_terrain(wrong):
     """At 40 deg above the horizon, the horizontal errors are metres."""
     true = places(12, seed=3)
     away = true - EYE
@@ -210,7 +210,7 @@ class Scattered:
 
 
 @pytest.mark.parametrize("spacing", [0.0, 4.0])
-def test_a_new_rocks_height_errs_as_the_five_nearest_and_the_ground_below(spacing):
+def test_a_new_rock_has_the_height_error_of_its_five_neighbours_and_of_the_terrain(spacing):
     """The five nearest, the first ones at equal distance; posts have equal distances."""
     rng = np.random.default_rng(3)
     xyz = places(30)
@@ -239,7 +239,7 @@ class Unknown:
 
 
 @pytest.mark.parametrize("rocks_told", [0, 1, 3, 400])
-def test_lines_of_sight_meet_ground_that_rocks_tell_pass_by_pass(rocks_told):
+def test_lines_of_sight_meet_terrain_that_rocks_report_pass_by_pass(rocks_told):
     """The kernel for single lines equals the iteration over all lines."""
     rng = np.random.default_rng(rocks_told)
     xyz = places(rocks_told, seed=rocks_told)
@@ -301,7 +301,7 @@ def sight_lines(ground, depression, count=300):
 
 
 @pytest.mark.parametrize("slope", [-0.6, -0.4, 0.4, 0.6])
-def test_lines_of_sight_meet_ground_that_is_steeper_than_they_are_long_to_find(slope):
+def test_lines_of_sight_meet_terrain_that_is_steeper_than_they_are_long_to_find(slope):
     """Fixed-point iteration would leave decimetres after eight iterations."""
     rocks, camera, _, true = sight_lines(Plane((slope, 0.0)), 40.0)
     found = rocks.terrain_points(camera, rocks.project_rocks(camera, true).pixel)
@@ -310,7 +310,7 @@ def test_lines_of_sight_meet_ground_that_is_steeper_than_they_are_long_to_find(s
 
 
 @pytest.mark.parametrize("slope", [-0.5, 0.3, 0.5])
-def test_lines_that_no_pass_brings_onto_steps_end_on_the_ground_at_most_a_step_off(slope):
+def test_lines_that_no_pass_brings_onto_steps_end_on_the_terrain_at_most_a_step_off(slope):
     ground = Steps((slope, 0.0))
     rocks, camera, eye, true = sight_lines(ground, 40.0, 2000)
     # Lines through points above the slope also pass between the steps.

@@ -95,7 +95,7 @@ def test_tracked_rocks_bound_the_position_error(world):
     assert f.is_drifting
 
 
-def test_rocks_hang_on_the_ground_of_the_first_scan_with_the_lander(world):
+def test_rocks_hang_on_the_terrain_of_the_first_scan_with_the_lander(world):
     descent = Descent(world, 8)
     f = descent.filter = Navigator(descent.inertial, StartSigmas(5.0, 0.1, 0.01), rocks=True)
     f.rocks.add_known(np.array([[3.0, 4.0], [-20.0, 9.0]]), np.full(2, 0.2), np.ones(2), np.ones(2))
@@ -105,7 +105,7 @@ def test_rocks_hang_on_the_ground_of_the_first_scan_with_the_lander(world):
     np.testing.assert_allclose(f.rocks.relative_covariance(), before, atol=1e-9)
 
 
-def test_an_estimate_tells_tilts_about_the_axes_of_the_frame():
+def test_an_estimate_reports_tilts_about_the_axes_of_the_frame():
     # An error about body x only, which points north.
     north = quat_from_rotation_vector([0.0, 0.0, np.pi / 2])
     f = Navigator(StrapdownState(START, VELOCITY, north, 9.81), StartSigmas())
@@ -123,7 +123,7 @@ def test_wrong_shadow_direction_loses_navigation(world):
     assert f.lost
 
 
-def test_an_azimuth_that_is_corrected_turns_no_ground(world):
+def test_an_azimuth_that_is_corrected_turns_no_terrain(world):
     descent = Descent(world, 8)
     f = descent.filter
     f.take("flash", descent.scan(np.zeros(3)), 0.0)
@@ -330,7 +330,7 @@ def test_a_map_wrong_by_100_m_gives_no_lock(world):
         assert np.linalg.norm((descent.error() - first)[:3]) < 6.0
 
 
-def test_a_map_that_does_not_cover_the_ground_gives_no_lock(world):
+def test_a_map_that_does_not_cover_the_terrain_gives_no_lock(world):
     prior = PriorMap(Grid(400.0, 400.0, 0.5, 100, 100), np.zeros((100, 100)), 0.1)
     descent = Descent(world, 1, prior).fly(2.0)
     assert names(descent) == []
@@ -361,7 +361,7 @@ def test_the_same_seed_gives_the_same_bits(world):
 STATED = replace(LIDAR, range_sigma=0.3, boresight_sigma=np.deg2rad(0.2), latency_sigma=0.02)
 
 
-def test_without_a_map_scans_tell_nothing_of_position_and_azimuth(world):
+def test_without_a_map_scans_contain_nothing_about_position_and_azimuth(world):
     # Speed told in the site's azimuth and measured in the lander's would tell of it, rightly.
     errors = StartSigmas(15.0, 1.0, np.deg2rad(0.3))
     descent = Descent(world, 3, errors=errors)
@@ -385,7 +385,7 @@ def test_without_a_map_scans_tell_nothing_of_position_and_azimuth(world):
 
 
 @pytest.mark.parametrize(("speed", "turn"), [(3.0, 0.5), (3.0, 2.0)])
-def test_from_a_start_that_is_far_off_scans_tell_nothing_of_place_and_yaw(world, speed, turn):
+def test_from_a_start_that_is_far_off_scans_contain_nothing_about_place_and_yaw(world, speed, turn):
     errors = StartSigmas(15.0, speed, np.deg2rad(turn))
     descent = Descent(world, 0, errors=errors)
     descent.filter = Navigator(descent.inertial, errors, instruments={"flash": LIDAR.calibration()})

@@ -16,7 +16,7 @@ def normals(slope):
     return np.column_stack((slope, np.ones(len(slope))))
 
 
-def test_noise_of_slopes_is_drawn_to_the_usual_one_and_ground_that_stands_out_is_kept():
+def test_noise_of_slopes_is_drawn_to_the_usual_one_and_terrain_that_stands_out_is_kept():
     rng = np.random.default_rng(1)
     true = np.tile([0.02, -0.01], (600, 1))
     rough = np.arange(600) < 60

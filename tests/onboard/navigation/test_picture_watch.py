@@ -36,7 +36,7 @@ def test_rejections_inflate_reset_lose_and_recover():
     assert not back.lost
 
 
-def test_innovations_that_are_too_large_are_doubted_though_they_are_taken():
+def test_innovations_that_are_too_large_are_flagged_though_they_are_taken():
     _, remedies, _ = watch([UpdateOutcome(500.0, 200, True, np.zeros(200))] * 10)
     assert remedies[0] is RockCorrection.INFLATE
     _, remedies, _ = watch([UpdateOutcome(250.0, 200, True, np.zeros(200))] * 10)

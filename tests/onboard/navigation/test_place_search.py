@@ -210,7 +210,7 @@ def test_a_post_is_compared_once():
     assert search.search(9.0, np.zeros(2), np.eye(2) * 8.0**2) is None
 
 
-def test_changed_ground_speaks_against_a_place_by_no_more_than_allowed():
+def test_changed_terrain_speaks_against_a_place_by_no_more_than_allowed():
     features = MapFeatures(swept(sigma=0.1)[0])
     factors = features.log_factor(np.array([-1e4, 0.0, 30.0]), np.array([1.0, 0.0, 1.0]), 5.0, 1e6)
     changed = features.settings.changed_probability
@@ -250,7 +250,7 @@ def test_places_drift_by_a_speed_that_stays_wrong_for_seconds():
     np.testing.assert_allclose(after, expected, atol=1e-9)
 
 
-def test_a_height_is_told_by_posts_that_agree():
+def test_a_height_is_estimated_from_posts_that_agree():
     prior, points = swept(sigma=0.1)
     _, match = found_on(prior, points)
     # Many posts; a position known to half a post leaves a height error on slopes.
@@ -364,7 +364,7 @@ def test_invalid_prior_is_rejected(given, match):
     assert np.array_equal(search.log_likelihood[0], before)
 
 
-def test_level_ground_is_not_found_but_its_height_is():
+def test_flat_terrain_is_not_found_but_its_height_is():
     rng = np.random.default_rng(4)
     prior = small_map(rng, np.zeros((90, 90)), sigma=0.1)
     search = PlaceSearch(MapFeatures(prior))
@@ -383,7 +383,7 @@ def test_level_ground_is_not_found_but_its_height_is():
     assert 0.2 < match.vertical_shift_variance < 1.0
 
 
-def test_scans_off_the_map_and_empty_ones_tell_nothing():
+def test_scans_off_the_map_and_empty_ones_report_nothing():
     prior, points = swept(sigma=0.1)
     search = PlaceSearch(MapFeatures(prior))
     search.add(np.full((10, 3), np.nan))
@@ -437,7 +437,7 @@ def test_ridges_cannot_lock():
     assert abs(forecast.rival[0]) < 2.5
 
 
-def test_rich_ground_can_lock_and_more_noise_takes_it_away():
+def test_rich_terrain_can_lock_and_more_noise_takes_it_away():
     told = []
     for sigma in (0.03, 0.06, 1.0):
         prior, _ = swept(sigma=sigma)
@@ -477,7 +477,7 @@ def test_errors_that_are_alike_count_together():
             PriorMap(prior.grid, prior.elevation, 0.1, wrong)
 
 
-def test_a_survey_has_the_errors_and_the_voids_that_it_is_told_to():
+def test_a_survey_has_the_errors_and_the_voids_as_configured():
     terrain = hazard_field(np.random.default_rng(0), boulders=0, craters=0)
     grid = Grid.centred((0.0, 0.0), 200.0, 1.0)
     exact = simulate_survey(terrain, grid, np.random.default_rng(1), sigma=1e-9).elevation

@@ -353,7 +353,7 @@ def sloped():
     return flight
 
 
-def test_heights_of_new_rocks_differ_as_the_ground_does(sloped):
+def test_heights_of_new_rocks_differ_as_the_terrain_does(sloped):
     """Variances of height differences: 0.1^2 x 10 m a metre between them, and 5 cm each."""
     f = sloped.filter
     z = np.append(15, f.state.head + 3 * np.arange(4) + 2)  # the terrain below the lander first
@@ -366,7 +366,7 @@ def test_heights_of_new_rocks_differ_as_the_ground_does(sloped):
     assert p[0, 0] == pytest.approx(9.0 + 0.1 * np.hypot(0.9, 0.2), rel=0.01)
 
 
-def test_a_new_rock_errs_along_the_line_of_sight_as_its_height_does(sloped):
+def test_a_new_rock_has_the_error_of_its_height_along_the_line_of_sight(sloped):
     f = sloped.filter
     i = f.state.head + 3 * np.arange(4)
     eye = f.inertial.position
@@ -378,7 +378,7 @@ def test_a_new_rock_errs_along_the_line_of_sight_as_its_height_does(sloped):
 
 
 @pytest.mark.statistical
-def test_flights_over_ground_that_rises_and_falls_are_consistent():
+def test_flights_over_terrain_that_rises_and_falls_are_consistent():
     nees, lander = Consistency(), Consistency()
     for k in range(30):
         flight = Flight(np.random.default_rng(300 + k), rocks=8, ground=TerrainPrior(0.0, 3.0, 0.1))

@@ -69,7 +69,7 @@ def test_empty_scan_covers_no_post():
     assert count_covered_squares(np.full((5, 3), np.nan), 1.0) == 0
 
 
-def test_posts_of_a_scan_that_grazes_the_ground_are_counted_too():
+def test_posts_of_a_scan_that_grazes_the_terrain_are_counted_too():
     far = np.array([[0.0, 0.0, 0.0], [0.4, 0.3, 0.0], [1e5, 1e5, 0.0], [1e5, np.nan, 0.0]])
     assert count_covered_squares(far, 1.0) == 2
     assert count_covered_squares(far, 1.0, 1) == 1

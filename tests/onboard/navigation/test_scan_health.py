@@ -55,7 +55,7 @@ def test_spikes_are_those_found_pixel_by_pixel(sigma):
     assert np.array_equal(found[~np.isnan(found)], r[~np.isnan(found)])
 
 
-def test_ground_has_no_spikes():
+def test_terrain_has_no_spikes():
     r = slope()
     r[10:14, 20:23] -= 2.0  # a rock of a few pixels
     r[:, 40:] += 5.0  # the edge of a cliff

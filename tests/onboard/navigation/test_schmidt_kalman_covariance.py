@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lunarsim.onboard.navigation._rock_filter_kernels import mirror_columns, mirror_lower
 from lunarsim.onboard.navigation.error_state import POSE
 from tests.onboard.navigation.states import alike, made
 
@@ -124,31 +123,6 @@ def test_rows_that_are_put_in_are_columns_too(is_frozen):
     state.set_rows(at, rows)
     before[at], before[:, at] = rows, rows.T
     assert np.array_equal(state.covariance, before)
-
-
-def test_columns_are_taken_over_mirrored():
-    rng = np.random.default_rng(9)
-    p = rng.normal(size=(70, 70))
-    order = rng.permutation(70)
-    rows, columns = order[:37], order[37:60]
-    expected = p.copy()
-    for row in rows:
-        for column in columns:
-            expected[row, column] = p[column, row]
-    mirror_columns(p, rows, columns)
-    assert np.array_equal(p, expected)
-
-
-def test_of_two_states_the_later_ones_row_takes_over():
-    rng = np.random.default_rng(10)
-    p = rng.normal(size=(70, 70))
-    states = rng.permutation(70)[:37]
-    expected = p.copy()
-    for late in range(len(states)):
-        for early in range(late):
-            expected[states[late], states[early]] = p[states[early], states[late]]
-    mirror_lower(p, states)
-    assert np.array_equal(p, expected)
 
 
 def test_all_errors_may_go_while_columns_lag():

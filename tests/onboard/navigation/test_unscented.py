@@ -221,7 +221,7 @@ def test_wild_readings_change_nothing(value):
 
 
 @pytest.mark.parametrize("spread", [4.0, 1e30, 1e300])
-def test_an_attitude_that_errs_by_more_than_a_turn_tells_nothing(spread):
+def test_an_attitude_error_above_one_turn_contains_no_information(spread):
     own = made()
     p, q = own.covariance.copy(), own.inertial.attitude.copy()
     own.take("stars", AttitudeReading(0.1, TILT, spread * np.eye(3)), 0.1)

@@ -29,7 +29,7 @@ def test_weights_and_variance_equal_those_of_a_field_of_unknown_level(growth):
         assert variance[k] == pytest.approx(c[4, 4] - c[4, :4] @ expected, rel=0.02)
 
 
-def test_heights_of_level_ground_are_level_and_near_ones_count():
+def test_heights_of_flat_terrain_are_level_and_near_ones_count():
     rng = np.random.default_rng(2)
     places = rng.uniform(-20.0, 20.0, (30, 2))
     at = rng.uniform(-20.0, 20.0, (9, 2))

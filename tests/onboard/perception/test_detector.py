@@ -10,10 +10,9 @@ import pytest
 from scipy.spatial import cKDTree
 
 from lunarsim.errors import InputError
-from lunarsim.frames import direction_from_angles, quat_from_rotation_vector
+from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
 from lunarsim.models.gimbal import gimbal_mount
-from lunarsim.onboard.perception import _patch_kernels as kernels
 from lunarsim.onboard.perception.detector import DetectorSettings, detect_rocks
 from lunarsim.onboard.perception.segmentation import segment
 from lunarsim.onboard.perception.shadow_direction import (
@@ -27,7 +26,6 @@ from lunarsim.rocks.shapes import CUBE
 from lunarsim.sensors.camera import Camera
 from lunarsim.vehicle import State
 from lunarsim.world.terrain import Heightfield, Terrain
-from tests.reference.shadows import patch
 from tests.shadow_scene import LEVEL, MODEL, SUN, at, picture, rocks_on_a_plane
 from tests.worlds import flat_terrain
 
@@ -72,28 +70,6 @@ def test_a_rock_hides_its_shadow_from_a_camera_on_the_suns_side():
 def test_model_refuses_a_sun_without_shadows(elevation):
     with pytest.raises(InputError, match=r"sun\.elevation"):
         ShadowModel(np.radians(elevation))
-
-
-def test_measuring_patches_equals_the_plain_reference():
-    rng = np.random.default_rng(4)
-    state, camera = at((20.0, -35.0, 60.0), quat_from_rotation_vector([0.1, 0.2, 0.3]))
-    view = camera.view(state)
-    labels = np.zeros((480, 640), np.int32)
-    for label in range(1, 30):
-        i, j = rng.integers(20, 440), rng.integers(20, 600)
-        h, w = rng.integers(2, 20, 2)
-        labels[i : i + h, j : j + w] = label
-    count = int(labels.max())
-    nothing = np.zeros((480, 640), np.uint8)
-    level = np.hypot(SUN[0], SUN[1])
-    table = kernels.measure_patches(
-        labels, count, nothing, nothing, *camera.tangents, view.position, view.axes,
-        0.5, SUN[0] / level, SUN[1] / level,
-    )  # fmt: skip
-    for label in np.unique(labels[labels > 0]):
-        found = table[label, [kernels.ALONG, kernels.ACROSS, kernels.LENGTH, kernels.WIDTH,
-                              kernels.PIXELS]]  # fmt: skip
-        assert found == pytest.approx(patch(labels, label, view, 0.5, SUN), rel=1e-9, abs=1e-6)
 
 
 @pytest.mark.parametrize("shape", ["hemisphere", "cube"])
@@ -144,7 +120,7 @@ def test_errors_are_as_large_as_their_covariance_says():
 
 
 @pytest.mark.parametrize("height", [35.0, 90.0])
-def test_from_look_to_look_centres_differ_by_what_is_said(height):
+def test_from_observation_to_observation_centres_differ_by_what_is_said(height):
     """Patches of five and of two pixels a radius, from places a metre apart."""
     terrain = rocks_on_a_plane("cube", count=110, seed=4)
     model = ShadowModel(np.radians(20.0), RockModel("cube", burial=(0.0, 0.0)))
@@ -337,7 +313,7 @@ def test_direction_of_shadows_is_read_from_the_image():
 
 @pytest.mark.parametrize("off", [0.0, 20.0, -45.0, 180.0])
 @pytest.mark.parametrize("place", [(0.0, 0.0, 50.0), (-40.0, 25.0, 40.0)])
-def test_shadows_tell_by_what_angle_the_sun_is_elsewhere(place, off):
+def test_shadows_give_the_angle_by_which_the_sun_is_elsewhere(place, off):
     """Seen from above an angle on the ground is one in the image; aslant nearly."""
     terrain = rocks_on_a_plane("hemisphere", seed=8)
     state, camera, counts = picture(terrain, place)
@@ -417,7 +393,7 @@ def test_rocks_are_not_seen_from_a_pose_that_is_none(name, value):
 
 
 @pytest.mark.parametrize("wrong", [str, complex, object])
-def test_pictures_of_no_numbers_are_refused(wrong):
+def test_images_of_no_numbers_are_refused(wrong):
     state, camera = at((0.0, 0.0, 50.0))
     with pytest.raises(InputError, match="image"):
         detect_rocks(np.zeros((480, 640)).astype(wrong), camera, state, SUN)
@@ -446,7 +422,7 @@ def test_pixels_that_are_no_numbers_are_neither_lit_nor_a_rocks():
 
 
 @pytest.mark.parametrize("small", [(0.5, 0.0), (0.0, 0.2)])
-def test_small_patches_differ_more_from_look_to_look_along_the_sun_and_across(small):
+def test_small_patches_differ_more_from_observation_to_observation_along_the_sun_and_across(small):
     terrain = rocks_on_a_plane("cube", count=110, seed=4)
     model = ShadowModel(np.radians(20.0), RockModel("cube", burial=(0.0, 0.0)))
     state, camera, counts = picture(terrain, (-54.0, 0.0, 90.0))
@@ -477,7 +453,7 @@ def test_small_patches_differ_more_from_look_to_look_along_the_sun_and_across(sm
 
 
 @pytest.mark.parametrize("elevation", [8.0, 12.0, 20.0, 35.0])
-def test_looks_differ_more_along_the_sun_than_shadows_are_longer(elevation):
+def test_observations_differ_more_along_the_sun_than_shadows_are_longer(elevation):
     angle = np.radians(elevation)
     terrain = rocks_on_a_plane("hemisphere", count=60, seed=4)
     state, camera, counts = picture(terrain, (0.0, 0.0, 60.0), (1.2, elevation))

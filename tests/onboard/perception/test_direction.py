@@ -54,7 +54,7 @@ def looked_at(scene, off):
     return turn, health.after_detection(seen, turn, noise).fault
 
 
-def test_the_sun_is_told_to_be_in_its_place(scene):
+def test_the_sun_is_found_to_be_in_its_place(scene):
     turn, fault = looked_at(scene, 0.0)
     assert abs(np.degrees(turn.angle)) < 8.0
     assert abs(turn.angle) < 3.0 * turn.sigma
@@ -63,7 +63,7 @@ def test_the_sun_is_told_to_be_in_its_place(scene):
 
 
 @pytest.mark.parametrize("off", [30.0, -60.0, 180.0])
-def test_the_sun_is_told_to_be_elsewhere(scene, off):
+def test_the_sun_is_found_to_be_elsewhere(scene, off):
     turn, fault = looked_at(scene, off)
     beside = np.degrees(np.angle(np.exp(1j * (turn.angle - np.radians(off)))))
     # Over 24 draws of the noise two scenes have two modes, the farther one at 18 deg; within a mode

@@ -89,7 +89,7 @@ def turn(scene, plane, sun):
 
 
 @pytest.mark.parametrize("off", [0.0, 30.0, 180.0])
-def test_the_sun_is_told_where_it_is_over_a_slope(scene, off):
+def test_the_sun_is_reported_where_it_is_over_a_slope(scene, off):
     cos, sin = np.cos(np.radians(off)), np.sin(np.radians(off))
     # Clockwise from above.
     east, north, up = scene.sun
@@ -100,7 +100,7 @@ def test_the_sun_is_told_where_it_is_over_a_slope(scene, off):
     assert found.side > 4.0
 
 
-def test_looks_are_as_sharp_as_shadows_along_the_plane_are_long(scene):
+def test_observations_are_as_sharp_as_shadows_along_the_plane_are_long(scene):
     plane = GroundPlane(0.0, scene.gradient)
     view = scene.camera.view(scene.state)
     drawn = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 1.0), scene.model, HazardPrior(0.05, 1.0))
@@ -124,7 +124,7 @@ def test_looks_are_as_sharp_as_shadows_along_the_plane_are_long(scene):
     assert np.median(abs(level[looked] / sharp[looked] - 1.0)) > 0.03
 
 
-def test_ground_above_the_camera_shows_no_rocks(scene):
+def test_terrain_above_the_camera_shows_no_rocks(scene):
     """Lines of sight that go up meet it, from below."""
     rise = 2.0 * np.array(scene.state.position[:2]) / np.hypot(*scene.state.position[:2])
     over = GroundPlane.through((0.0, 0.0, 0.0), rise)
@@ -132,7 +132,7 @@ def test_ground_above_the_camera_shows_no_rocks(scene):
     assert len(read(scene, over)) == 0
 
 
-def test_level_ground_is_read_as_without_a_plane(scene):
+def test_flat_terrain_is_read_as_without_a_plane(scene):
     for name in (
         "pixel",
         "pixel_covariance",
@@ -146,7 +146,7 @@ def test_level_ground_is_read_as_without_a_plane(scene):
         np.testing.assert_array_equal(one, other)
 
 
-def test_rocks_are_begun_where_a_slope_turns_from_the_sun(scene):
+def test_rocks_are_started_where_a_slope_turns_from_the_sun(scene):
     """Looks are vague along a low Sun, on ground that makes it one too: they begin rocks alike."""
     begun = {}
     for name, plane in (("slope", GroundPlane(0.0, scene.gradient)), ("level", LEVEL)):
@@ -206,7 +206,7 @@ def test_coordinates_in_which_a_plane_is_level():
 
 
 @pytest.mark.parametrize("gradient", [(0.0, 0.0), (0.2, -0.1), (-0.25, 0.1)])
-def test_ground_shows_as_many_pixels_as_level_ground_of_its_aspect(gradient):
+def test_terrain_shows_as_many_pixels_as_flat_terrain_of_its_aspect(gradient):
     """Pixels of a square on the plane, of equal size in the plan, against corners projected."""
     plane = GroundPlane.through((3.0, -2.0, 5.0), gradient)
     state, camera = at((-60.0, 30.0, 50.0))

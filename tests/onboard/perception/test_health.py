@@ -58,23 +58,23 @@ def judge(scene, counts, sun=None, health=None):
     return health.after_detection(seen, turn, noise)
 
 
-def test_good_pictures_count(scene):
+def test_good_images_count(scene):
     assert judge(scene, scene[2]).fault is None
 
 
-def test_no_fault_of_a_picture_counts(scene):
+def test_no_fault_of_an_image_counts(scene):
     for name, counts in all_faults(scene[2], np.random.default_rng(7)).items():
         assert not judge(scene, counts).good, name
 
 
 @pytest.mark.parametrize("off", [30.0, -30.0, 90.0, 180.0])
-def test_no_picture_counts_under_a_sun_that_is_elsewhere(scene, off):
+def test_no_image_counts_under_a_sun_that_is_elsewhere(scene, off):
     c, s = np.cos(np.radians(off)), np.sin(np.radians(off))
     wrong = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ scene[3]
     assert not judge(scene, scene[2], wrong).good
 
 
-def test_why_is_told(scene):
+def test_the_reason_is_reported(scene):
     rng = np.random.default_rng(1)
     faults = all_faults(scene[2], rng)
     for name, why in {
@@ -182,7 +182,7 @@ def test_a_sun_once_seen_is_believed_until_shadows_say_otherwise(scene):
         assert health.after_detection(seen, turn, 0.02).fault is fault
 
 
-def test_craters_do_not_tell_that_the_sun_is_elsewhere(scene):
+def test_craters_do_not_indicate_a_wrong_sun_direction(scene):
     """What is dark beside bright in all directions may be turned as a whole, and is no rock."""
     state, camera, counts, sun, level = scene
     seen = detect_rocks(counts, camera, state, sun, terrain=level)
@@ -242,7 +242,7 @@ def test_a_sun_that_shadows_put_elsewhere_is_not_proven_and_no_more_believed(sce
 
 
 @pytest.mark.parametrize(("veil", "fault"), [(0.0, None), (0.6, ImageRejection.VEILED)])
-def test_dust_or_stray_light_over_all_of_a_picture_is_noticed(scene, veil, fault):
+def test_dust_or_stray_light_over_all_of_an_image_is_noticed(scene, veil, fault):
     counts = scene[2] + veil * (np.median(scene[2]) - scene[2])
     noisy = counts + 0.4 * np.random.default_rng(0).standard_normal(counts.shape)
     found = judge(scene, np.rint(noisy).clip(0, 255).astype(np.uint8))
@@ -258,7 +258,7 @@ def test_dust_or_stray_light_over_all_of_a_picture_is_noticed(scene, veil, fault
         assert found.metrics.get("shade", 1.0) > 0.35
 
 
-def test_mild_defocus_is_told_by_the_cameras_own_point_spread(scene):
+def test_mild_defocus_is_reported_by_the_cameras_own_point_spread(scene):
     soft = defocused(scene[2], np.random.default_rng(2), 1.5)
     assert judge(scene, soft).fault in {
         ImageRejection.BLURRED,
@@ -274,7 +274,7 @@ def test_mild_defocus_is_told_by_the_cameras_own_point_spread(scene):
     }
 
 
-def test_half_a_picture_from_before_the_shutter_is_noticed(scene):
+def test_half_an_image_from_before_the_shutter_is_noticed(scene):
     counts = halved(scene[2], np.random.default_rng(4), 3)
     assert judge(scene, counts).fault is ImageRejection.GAPS
 

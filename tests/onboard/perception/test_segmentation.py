@@ -38,7 +38,7 @@ def test_terrain_in_its_own_shadow_is_dark_as_a_whole():
     assert found[205:395, 105:395].mean() > 0.99
 
 
-def test_ground_that_ends_in_a_black_sky_shows_its_shadows():
+def test_terrain_that_ends_in_a_black_sky_shows_its_shadows():
     """Most of the picture is black, as beyond the edge of a terrain."""
     image, shadow = ground((0.9, 1.0, 1.1))
     image[:, :240] = image[240:] = 0.0

@@ -41,7 +41,7 @@ def taught(model, rng, told=None, slope=0.0):
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("model", [HALF_SPHERES, ShapeMixture(SUN)], ids=["one", "mixture"])
-def test_of_ground_above_the_camera_no_pixel_is_seen(model):
+def test_of_terrain_above_the_camera_no_pixel_is_seen(model):
     q = model.visible_pixels(np.ones(3), 0.3, np.array([-0.04, 0.0, 0.5]), 0.05)
     assert q[0] == q[1] == 0.0
     assert q[2] > 1.0
@@ -72,7 +72,9 @@ def test_one_known_shape_is_the_mean_by_inverse_variances():
     # A cube throws nearly the shadow of a rounded rock as high as wide, whose disc is larger.
     [("cube", "mixed", 0.12), ("low", "cube", 0.06), ("cube", None, 0.12)],
 )
-def test_shapes_are_told_by_the_shadows_whatever_the_mission_expects(models, name, told, off):
+def test_shapes_are_estimated_from_the_shadows_whatever_the_mission_expects(
+    models, name, told, off
+):
     rng = np.random.default_rng(2)
     mixture = taught(models[name], rng, told)
     assert mixture.shape_fractions.argmax() == NAMES.index(name)
@@ -159,7 +161,7 @@ def test_slopes_show_in_how_lengths_scatter(models):
     )
 
 
-def test_the_told_shape_is_where_it_starts():
+def test_the_given_shape_is_its_start():
     cube, round_ = ShapeMixture(SUN, "cube"), ShapeMixture(SUN, "mixed")
     assert cube.shape_fractions[4] > 1.5 * cube.shape_fractions[1]
     assert round_.shape_fractions[1] > 1.5 * round_.shape_fractions[4]
@@ -182,7 +184,7 @@ def test_what_was_learnt_of_shapes_holds_under_another_sun(models):
     assert mixture.under(SUN) is mixture
 
 
-def test_half_spheres_are_told_from_cubes_sunk_in_where_the_mission_expects_them(models):
+def test_half_spheres_are_distinguished_from_cubes_sunk_in_where_the_mission_expects_them(models):
     """Shadows of both are as long over as wide; told nothing, radii are a sixth too small."""
     rng = np.random.default_rng(12)
     r, seen = patches(HALF_SPHERES, rng, 1000)

@@ -34,7 +34,7 @@ def test_a_table_is_made_once_and_read_to_the_bit(folder):
 
 
 @pytest.mark.parametrize("damage", [b"", b"no archive", "half"])
-def test_a_damaged_file_is_made_anew(folder, damage):
+def test_a_damaged_file_is_generated_again(folder, damage):
     make = Maker()
     table = cached_table("shadows", "20 deg", make)
     (file,) = folder.iterdir()

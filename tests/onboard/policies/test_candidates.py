@@ -101,7 +101,7 @@ def test_candidates_hold_the_nearest_safe_cell():
     assert len(nothing) == 0
 
 
-def test_no_candidate_lies_where_the_mission_forbids_and_each_tells_its_source():
+def test_no_candidate_lies_where_the_mission_forbids_and_each_reports_its_source():
     rng = np.random.default_rng(4)
     grid = Grid.centred((0.0, 0.0), 60.0, 1.0)
     p = rng.uniform(0.3, 1.0, grid.shape).astype(np.float32)

@@ -38,7 +38,7 @@ def estimate(speed: tuple[float, float, float]) -> Estimate:
     )
 
 
-def test_what_the_velocity_errs_by_adds_up_until_touchdown():
+def test_the_velocity_error_adds_up_until_touchdown():
     miss = expected_miss(0.3, estimate((0.03, 0.05, 9.0)), True, [0.0, 20.0, 40.0, -1.0])
     rate = np.sqrt(0.5 * (0.03**2 + 0.05**2))
     assert miss == pytest.approx(np.hypot(0.3, rate * np.array([0.0, 20.0, 40.0, 0.0])))
@@ -46,7 +46,7 @@ def test_what_the_velocity_errs_by_adds_up_until_touchdown():
     assert held.tolist() == [0.3, 0.3]
 
 
-def test_what_is_told_is_what_the_drift_comes_to():
+def test_the_reported_value_is_that_of_the_drift():
     """Drawn drifts, constant over the time, have the standard deviation told."""
     rng = np.random.default_rng(3)
     drawn = rng.standard_normal((20_000, 2)) * [0.03, 0.05] * 25.0

@@ -112,7 +112,7 @@ def test_value_decides_between_sites_equally_safe_and_sends_nobody_on():
 
 
 @pytest.mark.parametrize("policy", [Safest(), NearestSafe(), FuelAware()], ids=lambda p: p.name)
-def test_ground_that_the_mission_forbids_is_left(policy):
+def test_terrain_that_the_mission_forbids_is_left(policy):
     o = [0.97], [9.0], [20.0]
     assert policy.decide(observation(*o, here=0.999)).site is None
     assert policy.decide(observation(*o, here=0.999, site_eligible=False)).site[0] == 9.0
@@ -143,7 +143,7 @@ def test_the_scoreboard_flies_to_the_best_ranked_site_in_reach():
     assert choose(observation([0.9], [5.0], [20.0])).reason == "the mapper ranks no sites"
 
 
-def test_the_scoreboard_weighs_fuel_if_told_to():
+def test_the_scoreboard_weighs_fuel_if_asked_to():
     o = board([2.0, 2.5], propellant=[30.0, 20.0])
     assert ScoreboardChoice().decide(o).site[0] == 10.0
     assert ScoreboardChoice(propellant_weight=0.1).decide(o).site[0] == 20.0

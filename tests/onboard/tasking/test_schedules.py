@@ -76,7 +76,7 @@ def test_a_gimbal_stops_at_its_limit():
     assert np.arccos(-task.mount[2, 2]) == pytest.approx(0.05)
 
 
-def test_periodic_keeps_its_rate_below_its_altitude_and_above_the_ground():
+def test_periodic_keeps_its_rate_below_its_altitude_and_above_the_terrain():
     schedule = built(Periodic(rate=2.0, first_altitude=150.0))
     assert schedule.task(at(0.0, 151.0)) is None
     when, where = tasks(schedule, 0.1 * np.arange(1, 60), 149.0)
@@ -128,7 +128,7 @@ def test_rates_that_do_not_divide_the_cycles_are_kept_on_the_whole(rate):
     assert where.max(axis=0) == pytest.approx(SITE[:2] + 20.0)
 
 
-def test_after_a_pause_the_rate_begins_anew():
+def test_after_a_pause_the_rate_begins_again():
     schedule = built(Periodic(rate=2.0, first_altitude=150.0))
     assert schedule.task(at(1.0, 100.0)) is not None
     assert schedule.task(at(5.0, 200.0)) is None
@@ -136,7 +136,7 @@ def test_after_a_pause_the_rate_begins_anew():
     assert when == pytest.approx([6.0, 6.5, 7.0, 7.5])
 
 
-def test_a_sweep_turns_away_near_the_ground():
+def test_a_sweep_turns_away_near_the_terrain():
     schedule = built(Sweep(last_altitude=15.0, rate=10.0))
     assert schedule.task(at(0.0, 15.0)) is None
     assert schedule.task(at(0.1, 15.1)) is not None

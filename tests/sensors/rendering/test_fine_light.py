@@ -181,7 +181,7 @@ def test_shadows_of_a_valley_are_lit_by_its_other_side():
     assert dark[4, 4] == 0.0
 
 
-def test_shaded_sides_of_rocks_see_the_ground():
+def test_shaded_sides_of_rocks_see_the_terrain():
     """The ground's mean light over half the sky; rays cast at random say how much that is too much.
 
     A rock's own shadow lies before its shaded side, which the map of scattered light leaves out.
@@ -203,7 +203,7 @@ def test_shaded_sides_of_rocks_see_the_ground():
     assert 1.0 < told / true < 2.5
 
 
-def test_level_ground_throws_no_light_on_itself():
+def test_flat_terrain_throws_no_light_on_itself():
     light = Light(1.0, 0.5)
     view = above((0.0, 0.0), 30.0, 0.5, (16, 12))
     plain, more = (
@@ -242,7 +242,7 @@ def test_the_darkest_mottles_still_reflect_light():
     assert field.mean() == pytest.approx(even, rel=0.02)
 
 
-def test_mottles_have_the_spread_and_the_correlation_they_are_told():
+def test_mottles_have_the_spread_and_the_correlation_they_are_given():
     light = Light(
         1.0,
         0.6,
@@ -268,7 +268,7 @@ def test_mottles_have_the_spread_and_the_correlation_they_are_told():
     assert np.corrcoef((near / even - 1.0).ravel(), field.ravel())[0, 1] > 0.99
 
 
-def test_boulders_are_as_bright_as_told_each_in_its_own_way(rocky):
+def test_boulders_are_as_bright_as_given_each_with_its_own_factor(rocky):
     view = above((0.0, 0.0), 100.0, 0.2, (320, 240))
     light = Light(1.0, 0.8, photometry="lambert")
     renderer = renderer_of(rocky)

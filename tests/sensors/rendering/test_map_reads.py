@@ -59,7 +59,7 @@ def test_all_that_a_view_shows_between_two_levels_is_read(seed):
         assert reads.may_shade((texel + shift + 0.5)[:, None]).all()
 
 
-def test_what_lies_far_from_a_picture_is_not_read():
+def test_what_lies_far_from_an_image_is_not_read():
     view = View(np.array([0.0, 0.0, 100.0]), sensor_axes([0.0, 0.0, -1.0]), 640.0, 640.0, 319.5,
                 239.5, 640, 480)  # fmt: skip
     frame = ShadowFrame(
@@ -126,7 +126,7 @@ def drawn(terrain, view, light):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_pictures_are_those_with_the_whole_map(seed, monkeypatch):
+def test_images_are_those_with_the_whole_map(seed, monkeypatch):
     rng = np.random.default_rng(seed)
     base = random_terrain(rng, rocks=300, relief=0.4)
     terrain = base

@@ -119,7 +119,7 @@ def test_light_does_not_leak_through_ridges(elevation):
 
 @pytest.mark.parametrize("turn", [0.0, 1.5, np.pi])
 @pytest.mark.parametrize("tilt", [0.9, 1.2, 1.4])
-def test_shadows_reach_as_far_as_the_ground_in_view(turn, tilt):
+def test_shadows_reach_as_far_as_the_terrain_in_view(turn, tilt):
     """Where the upper rows look past the terrain, the ground below them still has its shadows."""
     rng = np.random.default_rng(2)
     plane = flat_terrain(200.0, 2.0).relief

@@ -35,7 +35,7 @@ def test_presets_fill_what_is_left_out(preset):
     assert not np.array_equal(cratered.z, left_out.relief().z)
 
 
-def test_polar_ground_is_as_rough_as_the_ridge_beside_shackleton():
+def test_polar_terrain_is_as_rough_as_the_ridge_beside_shackleton():
     """Median slopes of posts 40 to 160 m apart, and what they come to at 1 m."""
     file = ROOT / "scenarios" / "data" / "moon_shackleton_ridge_lola_40m.tif"
     z = load_terrain(file, posting=40.0).z.astype(float)
@@ -51,13 +51,13 @@ def test_polar_ground_is_as_rough_as_the_ridge_beside_shackleton():
     assert np.degrees(np.arctan(np.exp(at_a_metre))) == pytest.approx(slope, abs=0.1)
 
 
-def test_ground_without_a_preset_has_no_craters():
+def test_terrain_without_a_preset_has_no_craters():
     plain = FractalTerrain(size=40.0)
     assert np.array_equal(plain.relief().z, replace(plain, crater_density=0.0).relief().z)
     assert slope_at_a_metre(plain.relief()) == pytest.approx(2.5, rel=0.25)
 
 
-def test_ground_of_a_preset_has_posts_that_do_not_show_unless_told_otherwise():
+def test_terrain_of_a_preset_has_posts_that_do_not_show_unless_asked_otherwise():
     kind = {"preset": "mare", "crater_density": 0.0, "size": 40.0}
     near, bare = FractalTerrain(**kind), FractalTerrain(**kind, detail=0.0)
     assert near.detail_posting == pytest.approx(0.05)

@@ -19,7 +19,7 @@ def test_posts_too_fine_for_memory_are_refused():
         RasterTerrain(path=DTM, posting=1e-4).relief()
 
 
-def test_ground_between_measured_posts_is_rough_unless_it_is_asked_not_to_be():
+def test_terrain_between_measured_posts_is_rough_unless_it_is_asked_not_to_be():
     """The posts keep their elevations; between them a spline is smooth."""
     ground = RasterTerrain(
         path=DTM, dtm_window=(0, 60, 0, 60), relief_scale=0.2, rms_slope=np.deg2rad(3.0)
@@ -32,7 +32,7 @@ def test_ground_between_measured_posts_is_rough_unless_it_is_asked_not_to_be():
     assert bend[0] > 1.5 * bend[1]
 
 
-def test_ground_is_carried_on_beyond_its_raster_by_mirrors():
+def test_terrain_is_carried_on_beyond_its_raster_by_mirrors():
     """The middle is what was measured; beyond it lies what lies as far within its edges."""
     own = RasterTerrain(path=DTM, relief_scale=0.2, detail=False, posting=2.0)
     wide, narrow = replace(own, mirrored_size=300.0).relief(), own.relief()

@@ -27,7 +27,7 @@ def test_profiles_are_those_of_the_heat_equation(age):
     assert np.abs(diffuse_profile(r, age) - plain).max() < 2e-3
 
 
-def test_wear_takes_no_ground_away():
+def test_wear_takes_no_terrain_away():
     r = np.linspace(0.0, 12.0, 2401)
     fresh = np.trapezoid(diffuse_profile(r, 0.0) * r, r)
     for age in (0.01, 0.1, 0.5):
@@ -49,7 +49,7 @@ def test_small_new_craters_are_shallow():
     assert (np.diff(fresh_depth_ratio(np.geomspace(10.0, 1000.0, 20))) > 0.0).all()
 
 
-def test_ground_with_craters_is_the_sum_of_plain_ones():
+def test_terrain_with_craters_is_the_sum_of_plain_ones():
     """Sizes, places and ages drawn again in their order; the table errs by 1 % of a depth."""
     grid = Grid.centred((3.0, -2.0), 24.0, 0.5)
     flat = Heightfield(grid, np.zeros(grid.shape, np.float32))

@@ -2,8 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
@@ -15,8 +13,6 @@ from lunarsim.world.terrain import (
     crater_profile,
     fractal_relief,
 )
-from lunarsim.world.terrain._crater_kernels import add_crater_profiles
-from lunarsim.world.terrain.craters import APRON_RADII, DEPTH_RATIO, RIM_HEIGHT_RATIO
 
 
 def test_profile_has_the_depth_and_rim_of_a_fresh_crater():
@@ -35,35 +31,6 @@ def test_sizes_follow_the_law():
         expected = area * float(law.number(d) - law.number(200.0))
         assert np.sum(found >= d) == pytest.approx(expected, abs=4.0 * np.sqrt(expected))
     assert law.number(29.999) == pytest.approx(law.number(30.001), rel=1e-3)
-
-
-@given(st.integers(0, 1000))
-def test_stamping_agrees_with_the_profile(seed):
-    rng = np.random.default_rng(seed)
-    grid = Grid.centred((0.0, 0.0), 30.0, 0.7)
-    x, y = rng.uniform(-20.0, 20.0, (2, 6))
-    diameter, freshness = rng.uniform(1.0, 15.0, 6), rng.random(6)
-    z = np.zeros(grid.shape)
-    add_crater_profiles(
-        z,
-        grid.x0,
-        grid.y0,
-        grid.posting,
-        x,
-        y,
-        diameter,
-        freshness,
-        DEPTH_RATIO,
-        RIM_HEIGHT_RATIO,
-        APRON_RADII,
-    )
-    centres = grid.centres()
-    plain = sum(
-        crater_profile(np.hypot(*(centres - [x[n], y[n]]).transpose(2, 0, 1)), diameter[n],
-                       freshness[n])
-        for n in range(6)
-    )  # fmt: skip
-    assert np.allclose(z, plain, atol=1e-9)
 
 
 def test_detail_leaves_the_measured_posts_where_they_are():

@@ -119,7 +119,7 @@ def test_bad_files(tmp_path):
         load_terrain(write(tmp_path / "ok.tif", np.ones((4, 4))), posting=5.0)
 
 
-def test_a_window_is_the_same_ground():
+def test_a_window_is_the_same_terrain():
     path = SCENARIOS / "data" / "moon_apollo15_nac_dtm_2m.tif"
     whole = load_terrain(path, posting=2.0)
     part = load_terrain(path, posting=2.0, window=(10, 60, 20, 100))

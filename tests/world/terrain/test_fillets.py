@@ -45,7 +45,7 @@ def test_a_share_that_is_none_is_refused(share):
         add_fillets(flat_terrain(12.0, 0.25).relief, rocks, share)
 
 
-def test_a_scenarios_soil_is_a_part_of_the_ground_that_all_see():
+def test_a_scenarios_soil_is_a_part_of_the_terrain_that_all_see():
     plain = {"terrain": {"size_m": 40.0, "posting_m": 0.1}, "rocks": {"cover": 0.05}}
     banked = Scenario.from_dict(plain).changed(rocks={"fillet_height_ratio": 0.3})
     bare = Scenario.from_dict(plain)

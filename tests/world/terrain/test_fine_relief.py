@@ -33,7 +33,7 @@ def fine(coarse):
     return add_fine_roughness(coarse, 0.1, rng, hurst=HURST, rms_slope=SLOPE)
 
 
-def test_ground_is_as_rough_below_its_posts_as_its_law_says(coarse, fine):
+def test_terrain_is_as_rough_below_its_posts_as_its_law_says(coarse, fine):
     """Second differences of self-affine relief grow with the lag to the power H."""
     z = fine.z.astype(float)
     assert fine.grid.posting == pytest.approx(0.1)
@@ -46,7 +46,7 @@ def test_ground_is_as_rough_below_its_posts_as_its_law_says(coarse, fine):
     assert roughness(smooth, 1) < 0.5 * expected / 4.0**HURST
 
 
-def test_the_ground_stays_where_it_was(coarse, fine):
+def test_the_terrain_stays_where_it_was(coarse, fine):
     off = fine.z[::4, ::4] - coarse.z
     assert np.std(off) < 0.02 < 0.1 * np.std(coarse.z)
 
@@ -58,7 +58,7 @@ def test_posts_that_are_no_finer_are_refused(coarse):
             add_fine_roughness(coarse, posting, rng, hurst=HURST, rms_slope=SLOPE)
 
 
-def test_a_scenario_with_detail_is_the_same_ground_nearer():
+def test_a_scenario_with_detail_is_the_same_terrain_nearer():
     told = {"terrain": {"preset": "highland", "size_m": 60.0, "posting_m": 0.25, "detail_m": 0.0}}
     grounds = [
         s.terrain.make().build(s.rocks.make(), RandomStreams(1))

@@ -6,7 +6,6 @@ import pytest
 from lunarsim.grid import Grid
 from lunarsim.rocks.shapes import shape_table
 from lunarsim.world.terrain import Terrain
-from lunarsim.world.terrain import _surface_kernels as kernels
 from tests.reference import terrain as reference
 from tests.worlds import long_terrain
 
@@ -27,18 +26,6 @@ def test_elevations_to_the_edges_of_the_map(seed):
     wanted = reference.elevations(terrain, xy, SHAPES)
     assert np.allclose(terrain.elevation(xy), wanted, atol=1e-6, equal_nan=True)
     assert 5 < np.isnan(wanted).sum() < 150
-
-
-def test_no_post_beyond_the_map_is_read():
-    """A row of NaN lies behind the map in memory."""
-    whole = np.full((8, 6), np.nan, np.float32)
-    whole[:7] = np.arange(42.0).reshape(7, 6)
-    z = whole[:7]
-    for x, y in ((5.0, 2.5), (2.5, 6.0), (5.0, 6.0)):
-        assert kernels.relief_at(x, y, z, 0.0, 0.0, 1.0) == pytest.approx(6.0 * y + x)
-        normal = np.empty(3)
-        kernels.relief_normal(x, y, z, 0.0, 0.0, 1.0, normal)
-        assert normal == pytest.approx(np.array([-1.0, -6.0, 1.0]) / np.sqrt(38.0))
 
 
 @pytest.mark.parametrize("seed", range(3))

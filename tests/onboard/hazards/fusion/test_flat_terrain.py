@@ -16,13 +16,13 @@ from tests.map_evidence import LANDER, SIDE, evidence
 LEVEL = {"slope": 0.5, "rough": 0.2, "density": 300.0}
 
 
-def test_level_ground_is_as_likely_as_the_mission_expects_and_never_likelier():
+def test_flat_terrain_is_as_likely_as_the_mission_expects_and_never_likelier():
     for prior in (0.0, 0.5, 0.9):
         assert level_map(evidence(**LEVEL), prior) == pytest.approx(prior, abs=1e-3)
     assert (level_map(evidence(**LEVEL), 0.9, 1.0) <= np.float32(0.9)).all()
 
 
-def test_ground_that_was_not_measured_or_measured_worse_than_any_that_was_tried_is_none():
+def test_terrain_that_was_not_measured_or_measured_worse_than_any_that_was_tried_is_none():
     seen = np.ones(GRID.shape, bool)
     seen[3] = False
     p = level_map(evidence(seen=seen, **LEVEL), 0.9)
@@ -36,7 +36,7 @@ def test_ground_that_was_not_measured_or_measured_worse_than_any_that_was_tried_
 
 
 @pytest.mark.parametrize("planes", [-1.5, -2.5, -6.0])
-def test_ground_whose_planes_are_hardly_ever_level_is_no_likelier_than_they_allow(planes):
+def test_terrain_whose_planes_are_hardly_ever_level_is_no_likelier_than_they_allow(planes):
     judged = evidence(planes=planes, **LEVEL)
     most = 4.0 * min(judged.planes.p_slope.max(), judged.planes.p_roughness.max())
     assert level_map(judged, 0.9) == pytest.approx(min(most, 0.9), rel=1e-3)
@@ -54,7 +54,7 @@ def test_where_a_figure_is_no_number_nothing_is_said():
     assert (np.delete(p.ravel(), 2 * SIDE + 2) > 0.8).all()
 
 
-def test_an_eye_misses_none_only_where_all_about_a_site_was_looked_at():
+def test_a_sensor_misses_none_only_where_all_about_a_site_was_looked_at():
     fine = Grid(0.0, 0.0, 0.25, 2 * SIDE - 1, 2 * SIDE - 1)
     looked = np.ones(fine.shape, bool)
     # Between two cells of the sites.

@@ -55,7 +55,7 @@ from tests.reference import fusion as plain
 
 
 @pytest.mark.parametrize("density", [2.0, 30.0])
-def test_a_map_of_elevations_alone_is_its_own_or_that_of_level_ground_if_that_is_more(density):
+def test_a_map_of_elevations_alone_is_its_own_or_that_of_flat_terrain_if_that_is_more(density):
     rough = np.full(GRID.shape, 0.2)
     rough[:4] = 0.9
     own = relief(rough=rough, **DOUBTED | {"density": density, "curve": rocky(0.1)})
@@ -74,7 +74,7 @@ def test_a_map_of_elevations_alone_is_its_own_or_that_of_level_ground_if_that_is
         assert np.array_equal(getattr(blind, name), getattr(alone, name)), name
 
 
-def test_a_map_of_elevations_that_do_not_tell_how_they_were_judged_is_its_own():
+def test_an_elevation_map_without_site_evidence_is_unchanged():
     own = replace(relief(rough=0.2), site_evidence=None)
     blind = fuse_evidence(own, eyes(seen=False), TERMS)
     for name in ("p_safe", "observed", "in_domain"):
@@ -83,7 +83,7 @@ def test_a_map_of_elevations_that_do_not_tell_how_they_were_judged_is_its_own():
 
 
 @pytest.mark.parametrize("told", [True, False])
-def test_what_a_calibration_of_its_own_claims_stays_where_the_other_eye_saw_nothing(told):
+def test_what_a_calibration_of_its_own_claims_stays_where_the_other_sensor_saw_nothing(told):
     refit = ScenarioCalibration(
         CalibrationStage(-3.0), CalibrationStage(-3.0),
         CalibrationDomain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0)),
@@ -103,7 +103,7 @@ def test_what_a_calibration_of_its_own_claims_stays_where_the_other_eye_saw_noth
     assert not rock.in_domain[0, 0]
 
 
-def test_a_map_of_rocks_alone_is_its_own_times_what_is_expected_of_the_ground():
+def test_a_map_of_rocks_alone_is_its_own_times_what_is_expected_of_the_terrain():
     own = eyes(0.1, tracks((2.0, 2.0, 0.4, 0.9)))
     alone = fuse_evidence(None, own, TERMS)
     assert np.array_equal(alone.p_safe, np.float32(0.9) * own.hazard_map.p_safe)
@@ -116,7 +116,7 @@ def test_a_map_of_rocks_alone_is_its_own_times_what_is_expected_of_the_ground():
             replace(TERMS, terrain_prior=prior)
 
 
-def test_a_map_that_does_not_tell_what_it_was_drawn_from_is_only_multiplied():
+def test_a_map_without_evidence_is_only_multiplied():
     own = replace(relief(), site_evidence=None)
     both = fuse_evidence(own, eyes(0.1, tracks((2.0, 2.0, 0.4, 0.5))), TERMS)
     assert both.p_safe == pytest.approx(0.5 * own.hazard_map.p_safe, rel=1e-6)
@@ -125,7 +125,7 @@ def test_a_map_that_does_not_tell_what_it_was_drawn_from_is_only_multiplied():
 # --- two sensors -------------------------------------------------------------------------------
 
 
-def test_lit_ground_makes_sites_safer_and_dark_ground_less_safe():
+def test_lit_terrain_makes_sites_safer_and_dark_terrain_less_safe():
     own = relief(rough=0.2, density=3.0, curve=rocky(2.0))
     p = [
         fuse_evidence(own, eyes(r), TERMS).p_safe[4, 4]
@@ -156,7 +156,7 @@ def test_the_map_is_the_thinned_one_times_the_rocks_that_are_tracked():
         assert both.p_safe[row, col] == pytest.approx(expected, rel=1e-5)
 
 
-def test_where_samples_are_told_rocks_count_as_high_as_both_eyes_have_them():
+def test_with_samples_rocks_count_as_high_as_both_sensors_estimate():
     own = replace(relief(rough=0.2, density=3.0, curve=rocky(2.0)), residual_heights=SAMPLED)
     known = tracks((0.1, 0.2, 0.4, 0.7), (4.0, 3.9, 0.3, 0.2))
     both = fuse_evidence(own, eyes(0.3, known), TERMS)
@@ -195,7 +195,7 @@ def test_worse_evidence_of_rocks_and_samples_never_makes_a_site_safer(
     ("slope", "rough"), [(0.5, 0.2), (0.9, 0.2), (0.2, 0.65), (0.85, 0.9), (1.1, 0.0), (0.2, 1.0)]
 )
 @pytest.mark.parametrize("rocks", [20.0, 0.05])
-def test_ground_that_is_level_and_clear_is_no_less_safe_than_that(slope, rough, rocks):
+def test_terrain_that_is_level_and_clear_is_no_less_safe_than_that(slope, rough, rocks):
     own = relief(slope=slope, rough=rough, **DOUBTED | {"curve": rocky(rocks)})
     own = replace(own, residual_heights=SAMPLED)
     rock = tracks((0.1, 0.2, 0.5, 0.7))
@@ -241,7 +241,7 @@ def test_where_nothing_is_thinned_out_the_elevations_count_as_they_are_bit_for_b
     assert np.array_equal(fuse_evidence(asked, rocks, TERMS).p_safe, both.p_safe)
 
 
-def test_an_eye_that_finds_far_too_few_rocks_is_not_believed():
+def test_a_sensor_that_finds_far_too_few_rocks_is_not_believed():
     own = replace(relief(**DOUBTED), residual_heights=SAMPLED)
     unlikely = replace(eyes().hazard_map, in_domain=np.zeros(GRID.shape, bool))
     for radius, counts in ((0.2, False), (0.3, True)):
@@ -272,7 +272,7 @@ def test_rocks_that_it_reads_too_small_count_by_the_heights_that_samples_have():
         assert is_detection_count_plausible(found, placed, heights, LANDER.roughness_limit) == known
 
 
-def test_no_frequency_is_claimed_where_what_both_have_seen_of_the_ground_counts():
+def test_no_frequency_is_claimed_where_what_both_have_seen_of_the_terrain_counts():
     own = relief(slope=0.5, rough=0.3, density=0.5, curve=rocky(20.0))
     low = replace(own.hazard_map, p_safe=raster(0.02), in_domain=np.ones(GRID.shape, bool))
     own = replace(own, surface=low, residual_heights=SAMPLED)
@@ -292,7 +292,7 @@ def test_no_frequency_is_claimed_where_what_both_have_seen_of_the_ground_counts(
     st.floats(0.0, 1.2), st.floats(0.0, 1.2), st.floats(0.0, 1.0), st.floats(0.0, 0.5),
     st.floats(0.0, 1.0),
 )  # fmt: skip
-def test_less_level_or_clear_ground_is_never_safer(slope, rough, unseen, there, worse):
+def test_less_level_or_clear_terrain_is_never_safer(slope, rough, unseen, there, worse):
     here = {"slope": slope, "rough": rough, "unseen": unseen, "there": there}
 
     def p(**changes):
@@ -346,7 +346,7 @@ def test_a_frequency_is_claimed_only_where_sites_are_surely_safe_or_surely_not()
     st.floats(0.0, 1.3), st.floats(0.0, 1.3), st.floats(1.0, 100.0), st.floats(0.3, 4.0),
     st.floats(0.05, 3.0), st.floats(0.0, 0.95), st.floats(0.15, 0.6), st.floats(0.0, 1.0),
 )  # fmt: skip
-def test_worse_evidence_of_either_eye_never_makes_a_site_safer(
+def test_worse_evidence_of_either_sensor_never_makes_a_site_safer(
     slope, rough, density, rocks, ratio, there, radius, worse
 ):
     here = {

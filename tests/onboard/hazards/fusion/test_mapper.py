@@ -38,7 +38,7 @@ def test_it_draws_when_another_has_drawn_and_only_then():
     assert fused.grid == GRID
 
 
-def test_it_draws_no_oftener_than_it_is_told_to():
+def test_it_draws_no_oftener_than_it_is_set_to():
     own = Made()
     fused = FusedMapper({"own": own}, TERMS, interval=1.0)
     told = []
@@ -61,7 +61,7 @@ def test_it_draws_no_oftener_than_it_is_told_to():
             FusedMapper({"own": own}, TERMS, interval=wrong)
 
 
-def test_where_nobody_tells_the_time_it_draws_whenever_another_has():
+def test_without_a_time_it_draws_whenever_another_has():
     own = Made()
     fused = FusedMapper({"own": own}, TERMS, interval=1.0)
     for p in (0.7, 0.4, 0.3):
@@ -114,7 +114,7 @@ def test_the_worst_of_a_second_map_near_by_is_what_the_calibration_looks_at():
     assert told[:2] == pytest.approx(unseen)
 
 
-def test_the_height_that_a_mapper_expects_of_ground_it_has_not_seen_is_none():
+def test_the_height_that_a_mapper_expects_of_terrain_it_has_not_seen_is_none():
     class Expects(Made):
         def terrain_height(self, xy):
             return 5.0
@@ -144,7 +144,7 @@ class Lazy(Made):
         return self.drawn or super().surface()
 
 
-def test_ground_that_was_drawn_before_it_was_judged_is_another_when_it_is_drawn_anew():
+def test_terrain_that_was_drawn_before_it_was_evaluated_is_another_when_it_is_drawn_again():
     own = Lazy()
     fused = FusedMapper({"own": own}, TERMS)
     for p in (0.7, 0.4):

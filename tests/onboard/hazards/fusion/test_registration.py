@@ -62,7 +62,7 @@ def test_rocks_are_moved_to_where_the_elevations_show_them():
     assert np.array_equal(after.radius, before.radius)
 
 
-def test_where_the_elevations_tell_nothing_places_are_as_they_were():
+def test_without_informative_elevations_places_do_not_change():
     rng = np.random.default_rng(4)
     before = tracks(rng.uniform(-12.0, 12.0, (30, 2)), 0.4, 1.0)
     residual_heights = np.full(WIDE.shape, np.nan, np.float32)
@@ -73,7 +73,7 @@ def test_where_the_elevations_tell_nothing_places_are_as_they_were():
     assert after.sigma == pytest.approx(before.sigma, rel=0.05)
 
 
-def test_few_rocks_tell_no_shift():
+def test_few_rocks_give_no_shift():
     few = tracks([[0.0, 0.0], [1.0, 1.0], [90.0, 0.0]], 0.4, 1.0)
     residual_heights = np.zeros(WIDE.shape, np.float32)
     assert (

@@ -126,7 +126,7 @@ def test_the_probability_of_a_high_rock_equals_the_integral(radius, there, top, 
     assert found.hazard[0] == pytest.approx(expected, abs=0.01)
 
 
-def test_samples_that_show_nothing_leave_what_both_eyes_miss():
+def test_samples_that_show_nothing_leave_what_both_sensors_miss():
     rock = tracks((0.0, 5.0, 0.6, 0.8))
     dense = heights(rock, 0.0, 400.0).hazard[0]
     odds = COMMON_MISS_PROBABILITY * 0.8 / 0.2
@@ -243,7 +243,7 @@ def test_rises_of_other_cells_than_the_map_are_refused():
         TerrainEvidence(unseen, residual_heights=np.zeros((2, 2), np.float32))
 
 
-def test_only_tracks_told_to_be_too_high_are_rocks_by_the_share_of_them_that_are(monkeypatch):
+def test_only_tracks_reported_to_be_too_high_are_rocks_by_the_share_of_them_that_are(monkeypatch):
     asked = []
 
     def half(xy, height, tells, *rest):

@@ -62,7 +62,7 @@ def test_tracks_that_samples_show_are_rocks_and_of_others_few_are():
         assert (found >= least).all() and (found <= most).all(), rocks
 
 
-def test_where_samples_are_too_few_to_tell_tracks_are_as_likely_as_before():
+def test_with_too_few_samples_tracks_are_as_likely_as_before():
     rng = np.random.default_rng(3)
     xy = places(rng, 24)
     told = np.full(24, 0.6), np.ones(24, bool)

@@ -47,7 +47,7 @@ from tests.camera_and_lidar import (
 from tests.map_evidence import LANDER, evidence
 
 
-def test_ground_measured_to_be_level_counts_as_the_mission_expects_beside_steep_ground():
+def test_terrain_measured_to_be_level_counts_as_the_mission_expects_beside_steep_terrain():
     slope = np.full(GRID.shape, 0.4, np.float32)
     slope[:6] = 1.3
     own = replace(relief(slope=slope, rough=0.3, **DOUBTED), residual_heights=SAMPLED)
@@ -68,7 +68,7 @@ def test_a_site_that_a_tracked_rock_makes_unsafe_is_no_frequency_for_that(there)
     assert not both.in_domain[4, 4]
 
 
-def test_elevations_are_those_measured_and_else_the_other_eyes():
+def test_elevations_are_those_measured_and_else_the_other_sensors():
     seen = np.ones(GRID.shape, bool)
     seen[:, 5:] = False
     z = np.where(seen, 2.0, np.nan)
@@ -112,7 +112,7 @@ def test_of_untracked_rocks_on_other_cells_the_most_nearby_count():
 
 
 @pytest.mark.parametrize(("there", "x", "counts"), [(0.9, 2.0, 1), (0.4, 2.0, 0), (0.9, 99.0, 0)])
-def test_rocks_that_hardly_are_any_or_lie_off_the_map_do_not_speak_for_an_eye(there, x, counts):
+def test_rocks_that_hardly_are_any_or_lie_off_the_map_do_not_speak_for_a_sensor(there, x, counts):
     rocks = tracks(*((x, 0.3 * k, 0.4, there) for k in range(12)))
     found = replace(eyes(1.0, rocks, expected_detections=40.0))
     found = replace(
@@ -170,7 +170,7 @@ def own_calibration() -> ScenarioCalibration:
     )
 
 
-def test_what_is_left_of_rocks_is_judged_by_the_calibration_of_the_elevations():
+def test_what_is_left_of_rocks_is_evaluated_by_the_calibration_of_the_elevations():
     judged, refit = evidence(slope=0.7, rough=0.5, density=5.0), own_calibration()
     p, known = calibrated_safety(judged, refit=refit)
     drawn = HazardMap(GRID, p, judged.observed, SAMPLED, in_domain=known)
@@ -182,7 +182,7 @@ def test_what_is_left_of_rocks_is_judged_by_the_calibration_of_the_elevations():
     assert (both.p_safe != calibrated_safety(thinned)[0]).all()
 
 
-def test_elevations_are_judged_by_the_calibration_they_were_drawn_with():
+def test_elevations_are_evaluated_by_the_calibration_they_were_drawn_with():
     pool = SamplePool(Grid.centred((0.0, 0.0), 8.0, 0.25))
     xy = np.random.default_rng(1).uniform(-3.9, 3.9, (1200, 2))
     pool.add(np.column_stack((xy, np.zeros(1200))), 0.01, 0.2)

@@ -48,7 +48,7 @@ def thinned_by(own, rocks):
     )
 
 
-def test_where_no_elevation_was_measured_the_other_eye_tells_and_never_surely():
+def test_without_elevations_the_other_sensor_counts_and_is_never_certain():
     own = relief(seen=MEASURED)
     both = fuse_evidence(own, eyes(0.1), TERMS)
     assert both.observed.all()
@@ -64,7 +64,7 @@ def test_where_no_elevation_was_measured_the_other_eye_tells_and_never_surely():
 
 @pytest.mark.parametrize("steep", [0, 4, SIDE])
 @pytest.mark.parametrize("what", ["slope", "rough"])
-def test_ground_that_was_not_measured_is_as_likely_fit_as_what_was(steep, what):
+def test_terrain_that_was_not_measured_is_as_likely_fit_as_what_was(steep, what):
     share = np.full(GRID.shape, 0.4, np.float32)
     share[:steep] = 1.3
     own = relief(seen=MEASURED, **{what: share})
@@ -75,7 +75,7 @@ def test_ground_that_was_not_measured_is_as_likely_fit_as_what_was(steep, what):
 
 
 @pytest.mark.parametrize("found", [None, tracks((0.0, 2.0, 0.4, 0.9))])
-def test_level_ground_counts_for_what_was_not_measured_and_tracked_rocks_do_not(found):
+def test_flat_terrain_counts_for_what_was_not_measured_and_tracked_rocks_do_not(found):
     density = np.full(GRID.shape, 0.5)
     density[:4] = 30.0
     level = {"slope": 0.5, "rough": 0.2} | DOUBTED | {"density": density}
@@ -97,7 +97,7 @@ def test_level_ground_counts_for_what_was_not_measured_and_tracked_rocks_do_not(
 
 
 @pytest.mark.parametrize("far", [1.2, 1.5, 2.0])
-def test_samples_that_leave_all_ground_in_doubt_do_not_make_it_safer_where_none_fell(far):
+def test_samples_that_leave_all_terrain_in_doubt_do_not_make_it_safer_where_none_fell(far):
     slope, planes = np.full(GRID.shape, 2.0), np.full(GRID.shape, -3.0)
     slope[:4], planes[:4] = 0.3, 2.0
     own = relief(seen=MEASURED, slope=slope, planes=planes, density=0.1, curve=rocky(20.0))
@@ -117,7 +117,7 @@ def test_samples_that_leave_all_ground_in_doubt_do_not_make_it_safer_where_none_
 
 @pytest.mark.parametrize("density", [0.1, 30.0])
 @pytest.mark.parametrize("side", [2, SIDE])
-def test_ground_beside_steep_ground_is_no_safer_for_steeper_ground(density, side):
+def test_terrain_beside_steep_terrain_is_no_safer_for_steeper_terrain(density, side):
     seen = np.zeros(GRID.shape, bool)
     seen[:side, :side] = True
     seen[:, 6:] = False
@@ -131,7 +131,7 @@ def test_ground_beside_steep_ground_is_no_safer_for_steeper_ground(density, side
     assert all((worse <= better + 1e-6).all() for better, worse in pairwise(p))
 
 
-def test_ground_that_was_not_measured_is_no_safer_than_its_like_that_was():
+def test_terrain_that_was_not_measured_is_no_safer_than_its_like_that_was():
     for slope, level, density in product((0.5, 0.85, 0.95), (-4.0, 1.0), (0.1, 3.0, 30.0)):
         judged = evidence(slope=slope, level=level, density=density)
         p, _ = calibrated_safety(judged)
@@ -143,7 +143,7 @@ def test_ground_that_was_not_measured_is_no_safer_than_its_like_that_was():
 
 @pytest.mark.parametrize("expected", [0.0, 0.3, 0.9])
 @pytest.mark.parametrize("posting", [0.25, 9.0])
-def test_ground_that_was_not_measured_is_never_likelier_than_expected(expected, posting):
+def test_terrain_that_was_not_measured_is_never_likelier_than_expected(expected, posting):
     terms = replace(TERMS, terrain_prior=expected)
     rng = np.random.default_rng(5)
     for n, most in ((0, 1.0), (1, 1.0), (7, 1.0), (200, 1.0), (7, 0.0), (200, 0.0)):
@@ -159,7 +159,7 @@ def test_ground_that_was_not_measured_is_never_likelier_than_expected(expected, 
         assert unobserved_safety_prior(np.where(p > 0.5, np.nan, p), free, posting, terms) == nought
 
 
-def test_beside_a_map_that_tells_nothing_of_its_samples_ground_is_as_likely_as_that_says():
+def test_beside_a_map_without_samples_terrain_is_as_likely_as_the_map_states():
     own = replace(relief(seen=MEASURED, slope=0.95), site_evidence=None)
     both = fuse_evidence(own, eyes(0.1), TERMS)
     prior = beside((float(p), 1.0) for p in own.surface.p_safe[MEASURED])

@@ -122,7 +122,7 @@ def test_a_hole_among_many_lost_returns_is_not_observed():
     assert gaussian_dem(image, grid).observed[~middle].mean() > 0.5
 
 
-def test_a_fine_patch_hides_no_coarse_ground():
+def test_a_fine_patch_hides_no_coarse_terrain():
     rng = np.random.default_rng(6)
     coarse = np.column_stack((rng.uniform(-20.0, 20.0, (1600, 2)), np.zeros(1600)))
     fine = np.column_stack((rng.uniform(5.0, 15.0, (40_000, 2)), np.zeros(40_000)))
@@ -152,7 +152,7 @@ def test_an_edge_of_three_spacings_is_the_longest_that_is_no_gap(spacing, seen):
     assert dem.observed[GRID.cell(np.array([0.0, 0.0]))] == seen
 
 
-def test_image_order_changes_nothing_on_open_ground():
+def test_image_order_changes_nothing_on_open_terrain():
     rng = np.random.default_rng(3)
     x, y = np.meshgrid(np.linspace(-5, 5, 40), np.linspace(5, -5, 40))
     image = np.column_stack((x.ravel(), y.ravel(), rng.random(1600)))
@@ -204,7 +204,7 @@ def test_a_random_field_has_a_spread_that_can_be(wrong):
             gaussian_dem(cloud(1), GRID, **{name: wrong})
 
 
-def test_samples_without_noise_and_ground_all_alike_still_give_a_map():
+def test_samples_without_noise_and_terrain_all_alike_still_give_a_map():
     """The matrix of a triangle is then nearly singular."""
     plane = cloud(1)
     plane[:, 2] = 0.3 + 0.1 * plane[:, 0]

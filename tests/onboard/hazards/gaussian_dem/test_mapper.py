@@ -59,7 +59,7 @@ def test_a_map_is_drawn_once_an_interval():
     assert mapper.hazard_map() is second, "nothing new"
 
 
-def test_where_nobody_tells_the_time_a_map_is_drawn_whenever_something_has_come_in():
+def test_without_a_time_a_map_is_drawn_at_every_measurement():
     mapper = GaussianDemMapper(GRID, Lander(), interval=1.0)
     known = []
     for east in (3.0, -3.0):
@@ -122,7 +122,7 @@ def test_it_publishes_what_its_map_follows_from():
     assert told.hazard_map.elevation is told.surface.elevation
 
 
-def test_samples_stay_where_they_are_when_the_map_is_laid_anew():
+def test_samples_stay_where_they_are_when_the_map_is_laid_again():
     mapper = GaussianDemMapper(GRID, Lander())
     flash(mapper, east=3.0)
     before = {tuple(np.round(p, 6)) for p in mapper.pool.vertices()[0]}
@@ -202,7 +202,7 @@ def seen(mapper: GaussianDemMapper, ground, tilt: float, sigma: float, wrong: fl
 
 @pytest.mark.parametrize("tilt", [0.5, 1.5])
 @pytest.mark.parametrize("aside", [False, True])
-def test_ground_seen_with_a_wrong_tilt_is_turned_and_what_came_later_stays(tilt, aside):
+def test_terrain_seen_with_a_wrong_tilt_is_turned_and_what_came_later_stays(tilt, aside):
     def ground(east, north):
         return 0.15 * np.sin(1.3 * east) * np.cos(0.9 * north)
 

@@ -61,7 +61,7 @@ def interest(value=0.25):
     return InterestMap(grid, np.where(grid.centres()[..., 0] < 0.0, 0.0, value))
 
 
-def test_the_ground_makes_the_probability_and_the_mission_the_layers():
+def test_the_terrain_makes_the_probability_and_the_mission_the_layers():
     free, wanted = mapper(), mapper(interest=interest())
     for m in (free, wanted):
         m.update(scan(), estimate())
@@ -86,7 +86,7 @@ def test_the_ground_makes_the_probability_and_the_mission_the_layers():
     assert a.eligible_at([[4.0, 0.0], [-4.0, 3.0], [99.0, 0.0]]).tolist() == [False, True, False]
 
 
-def test_where_no_site_is_eligible_the_ground_is_as_safe_as_before():
+def test_where_no_site_is_eligible_the_terrain_is_as_safe_as_before():
     strict = QuadtreeMapper(GRID, SiteSettings(
         mesh_band=(1.6, 3.2), hazard_band=(0.8, 0.8), site_band=(0.4, 0.8), zone_half_side=1.1,
         exception_limit=0.0, slope_limit=SMALL.slope_limit,
@@ -116,7 +116,7 @@ def test_a_map_is_drawn_of_the_points_that_its_sites_were_selected_on():
     assert late.hazard_map() is a
 
 
-def test_the_board_tells_the_score_of_the_site_flown_to():
+def test_the_board_reports_the_score_of_the_site_flown_to():
     m = mapper(interest=interest(0.5))
     assert m.scoreboard(np.zeros(3)).score.size == 0
     m.update(scan(), estimate())
@@ -130,7 +130,7 @@ def test_the_board_tells_the_score_of_the_site_flown_to():
     assert m.scoreboard(np.array([400.0, 0.0, 0.0])).current_site_score == np.inf
 
 
-def test_what_is_mapped_stays_where_it_is_when_the_map_is_laid_anew():
+def test_what_is_mapped_stays_where_it_is_when_the_map_is_laid_again():
     m = mapper(interest=interest())
     m.update(scan(), estimate())
     before, drawn = m.map.points, m.hazard_map()
@@ -161,7 +161,7 @@ def test_what_is_mapped_stays_where_it_is_when_the_map_is_laid_anew():
     assert (both.value[:, both.grid.x < 4.5] == 0.0).all()
 
 
-def test_a_map_laid_anew_takes_interest_along_and_forgets_sites():
+def test_a_map_laid_again_takes_interest_along_and_forgets_sites():
     m = mapper(interest=interest())
     m.select()
     m.recentre(np.array([5.0, -3.0, 2.0]))
@@ -245,7 +245,7 @@ def test_costs_that_are_no_numbers_are_refused():
         select_separated(np.array([1.0, 2.0]), xy, 2, 1.0)
 
 
-def test_ground_seen_with_a_wrong_tilt_is_turned_and_what_came_later_stays():
+def test_terrain_seen_with_a_wrong_tilt_is_turned_and_what_came_later_stays():
     tilt, pivot = np.deg2rad(1.5), np.array([2.0, 0.0, 0.0])
     wrong = quat_from_rotation_vector([0.0, tilt, 0.0])
     turn = quat_to_matrix(quat_from_rotation_vector([0.0, -tilt, 0.0]))

@@ -58,7 +58,7 @@ def test_birds_change_hardly_a_site(birds):
     assert np.quantile(found.roughness[both], 0.99) < 2.0 * np.nanquantile(clean.roughness, 0.99)
 
 
-def test_birds_are_told_and_nothing_else_is():
+def test_birds_are_reported_and_nothing_else_is():
     points, _, _ = field(3, 100_000)
     lifted, which = with_birds(points, 200, 4)
     quadtree = QuadtreeMap((0.0, 0.0), SIDE)
@@ -105,7 +105,7 @@ def test_who_stands_apart_does_not_depend_on_the_order(seed, parts, dwell):
     assert first or not dwell
 
 
-def test_a_bird_that_finds_company_is_ground():
+def test_a_bird_that_finds_company_is_terrain():
     rng = np.random.default_rng(7)
     quadtree = QuadtreeMap((0.0, 0.0), 10.0)
     ground = np.column_stack((rng.uniform(-2.0, 2.0, (2000, 2)), rng.normal(0.0, 0.02, 2000)))

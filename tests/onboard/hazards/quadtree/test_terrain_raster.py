@@ -61,7 +61,7 @@ def test_a_plane_seen_thinly_keeps_its_slope():
     assert east == pytest.approx(0.15, abs=0.01)
 
 
-def test_ground_far_from_any_point_is_unknown():
+def test_terrain_far_from_any_point_is_unknown():
     rng = np.random.default_rng(4)
     points = scattered(rng, 4000)
     height, grid = terrain_raster(mapped(points[points[:, 0] < -1.0]), 0.4, 1.6)
@@ -70,7 +70,7 @@ def test_ground_far_from_any_point_is_unknown():
     assert np.isnan(height[east > 4.0]).all()
 
 
-def test_rises_are_the_heights_above_the_ground_about():
+def test_rises_are_the_heights_above_the_terrain_about():
     rng = np.random.default_rng(5)
     points = scattered(rng, 20_000)
     # Boxes of 0.2 m, one every 1.4 m.
@@ -111,7 +111,7 @@ def test_a_filled_plane_keeps_its_slope_and_its_rocks_and_loses_narrow_holes():
     assert close_holes(holes, 0.4, 1.5)[15, 15] == pytest.approx(holes[15, 15], abs=0.2)
 
 
-def test_a_map_without_points_has_no_ground():
+def test_a_map_without_points_has_no_terrain():
     quadtree = QuadtreeMap((0.0, 0.0), 12.8, 0.1)
     assert np.isnan(terrain_raster(quadtree, 0.4, 1.6)[0]).all()
     assert len(residual_heights(quadtree)) == 0
@@ -146,7 +146,7 @@ def test_a_trench_that_no_return_came_out_of_is_a_gap():
 
 
 @pytest.mark.parametrize("density", [200, 600])
-def test_ground_beside_a_patch_seen_often_is_as_well_seen_as_without_it(density):
+def test_terrain_beside_a_patch_seen_often_is_as_well_seen_as_without_it(density):
     rng = np.random.default_rng(16)
     coarse = scattered(rng, 40 * 164)
     patch = scattered(rng, 25 * density, 5.0)
@@ -156,7 +156,7 @@ def test_ground_beside_a_patch_seen_often_is_as_well_seen_as_without_it(density)
     assert seen.gap[outside].mean() < 0.001
 
 
-def test_coarse_ground_between_patches_is_judged_by_what_lies_near_it():
+def test_coarse_terrain_between_patches_is_evaluated_by_what_lies_near_it():
     rng = np.random.default_rng(17)
     coarse = scattered(rng, 40 * 164)
     strips = scattered(rng, 600 * 164)
@@ -187,7 +187,7 @@ def evidence(points: np.ndarray, side: float = 12.8):
     return found, selection.position[:, :2]
 
 
-def test_sites_whose_footprint_holds_a_gap_are_not_judged():
+def test_sites_whose_footprint_holds_a_gap_are_not_evaluated():
     rng = np.random.default_rng(9)
     points = scattered(rng, 60 * 164)
     whole, _ = evidence(points)
@@ -213,7 +213,7 @@ def test_a_footprint_is_as_thin_as_its_thinnest_metre():
     assert np.median(found.density[border & inner]) > 50.0
 
 
-def test_the_lander_stands_on_the_ground_under_the_site():
+def test_the_lander_stands_on_the_terrain_under_the_site():
     """Mirrored terrain gives mirrored evidence: no site uses a neighbouring cell."""
     rng = np.random.default_rng(11)
     xy = rng.uniform(-6.39, 6.39, (20_000, 2))
@@ -252,7 +252,7 @@ def test_a_rock_and_a_slope_doom_a_site_and_a_hole_does_not():
         assert found.may_be_unsafe[middle] == doomed, name
 
 
-def test_one_return_low_above_the_ground_may_be_a_rock_and_a_high_one_is_not():
+def test_one_return_low_above_the_terrain_may_be_a_rock_and_a_high_one_is_not():
     rng = np.random.default_rng(12)
     points = scattered(rng, 20_000)
     points[::400, 2] += 0.5

@@ -225,7 +225,7 @@ def test_masked_points_are_left_out():
     assert (done.added, done.missing) == (1, 1)
 
 
-def test_ground_at_any_height_is_mapped_about_its_own_elevation():
+def test_terrain_at_any_height_is_mapped_about_its_own_elevation():
     rng = np.random.default_rng(8)
     points = cloud(rng, 500, 2.0)
     low, high = (QuadtreeMap((0.0, 0.0, h), 10.0) for h in (0.0, 1_737_400.0))

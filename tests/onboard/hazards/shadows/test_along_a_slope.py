@@ -71,7 +71,7 @@ def update(mapper, scene):
     mapper.update(CameraImage(0.0, counts, camera.model), estimate)
 
 
-def test_rocks_are_found_tracked_and_ruled_out_along_the_measured_ground(scene):
+def test_rocks_are_found_tracked_and_ruled_out_along_the_measured_terrain(scene):
     state, camera, counts = scene
     mapper = look(scene, Slope(GRADIENT))
     plane = fit_terrain_plane(Slope(GRADIENT).drawn)
@@ -90,7 +90,7 @@ def test_rocks_are_found_tracked_and_ruled_out_along_the_measured_ground(scene):
     assert probability.evidence.lit.any()
 
 
-def test_the_sun_is_judged_along_the_measured_ground(scene):
+def test_the_sun_is_evaluated_along_the_measured_terrain(scene):
     """This picture does not tell where the Sun is if the ground is taken to be level."""
     assert not look(scene, Slope(GRADIENT)).rejected_images
     assert look(scene, None).rejected_images
@@ -112,13 +112,13 @@ def test_the_sun_is_judged_along_the_measured_ground(scene):
 
 @pytest.mark.parametrize("turned", [30.0, -30.0, 180.0])
 @pytest.mark.parametrize("relief", [None, Slope(GRADIENT)])
-def test_under_a_sun_that_is_elsewhere_no_ground_is_seen(scene, relief, turned):
+def test_under_a_sun_that_is_elsewhere_no_terrain_is_seen(scene, relief, turned):
     mapper = look(scene, relief, turned)
     assert mapper.rejected_images.total() == 1
     assert not mapper.hazard_map().observed.any()
 
 
-def test_ground_that_nobody_has_measured_yet_is_level(scene):
+def test_terrain_that_nobody_has_measured_yet_is_level(scene):
     blind = Slope(GRADIENT)
     blind.drawn = blind.unobserved()
     one, other = look(scene, blind), look(scene, None)
@@ -176,7 +176,7 @@ def test_a_rock_is_not_missing_whose_shadow_on_a_slope_falls_into_the_dark(scene
     assert missed(scene, 2.0) < 0.7
 
 
-def test_a_mapper_is_built_after_the_one_whose_ground_it_asks_for(scene):
+def test_a_mapper_is_built_after_the_one_whose_terrain_it_asks_for(scene):
     state, _, _ = scene
     inertial = StrapdownState(state.position, np.zeros(3), state.attitude, 1.622)
     ground = TerrainPrior(0.0, 2.0)

@@ -67,7 +67,7 @@ def test_windows_with_no_fewer_shadows_than_chance_has_are_not_empty():
     )
 
 
-def test_cells_should_have_shadows_by_their_ground_and_by_the_least_rock_that_shows():
+def test_cells_should_have_shadows_by_their_terrain_and_by_the_least_rock_that_shows():
     sharpness, area = np.array([2.0, 4.0, 0.0, 4.0, np.nan]), np.array([8.0, 3.0, 5.0, np.nan, 1.0])
     by_size, by_area = relative_shadow_counts(sharpness, area, 0.05)
     # A shadow of two by two pixels is that of a rock of 1 m of radius where q is 2 for it.
@@ -115,7 +115,7 @@ def saturated_disc(counts, rng):
 
 
 @pytest.mark.parametrize("spoil", [good, flat_half, veiled_half, defocused_disc, saturated_disc])
-def test_ground_behind_a_part_that_shows_nothing_is_not_seen(spoil):
+def test_terrain_behind_a_part_that_shows_nothing_is_not_seen(spoil):
     terrain = rocky(3, 0.08, 0.0, "cube")
     state, camera, counts = picture(terrain, PLACE)
     rng = np.random.default_rng(2)

@@ -90,7 +90,7 @@ def test_nothing_off_the_map_was_seen():
     assert 0.5 * never < p[0, 0] < 0.8 * never
 
 
-def test_few_rocks_expected_make_no_ground_clear_before_it_is_seen():
+def test_few_rocks_expected_make_no_terrain_clear_before_it_is_seen():
     for cover in (0.01, 0.02, 0.03):
         mapping = ProbabilityMap(GRID, MODEL, HazardPrior(cover, 0.5))
         tracker = tracker_at((0.0, 0.0, 40.0))

@@ -46,12 +46,12 @@ def plain_growth(rocks):
 
 
 @pytest.mark.parametrize("count", [2, 3, 40])
-def test_relief_is_told_by_neighbours_and_what_they_err_by(count):
+def test_relief_is_estimated_from_neighbours_and_their_errors(count):
     rocks = tracked(count)
     assert height_variance_growth(rocks) == pytest.approx(plain_growth(rocks))
 
 
-def test_a_rock_alone_tells_of_no_relief():
+def test_a_rock_alone_indicates_no_relief():
     assert (
         height_variance_growth(tracked(1))
         == height_variance_growth(tracked(0))
@@ -61,7 +61,7 @@ def test_a_rock_alone_tells_of_no_relief():
 
 
 @pytest.mark.parametrize("count", [1, 4, 40])
-def test_ground_is_as_well_known_as_the_best_rock_near_by_tells(count):
+def test_terrain_is_as_well_known_as_the_best_rock_near_by_reports(count):
     rocks = tracked(count, seed=2)
     at = np.random.default_rng(3).uniform(-30.0, 30.0, (50, 2))
     growth, p = plain_growth(rocks), rocks.state.p
@@ -74,7 +74,7 @@ def test_ground_is_as_well_known_as_the_best_rock_near_by_tells(count):
         assert sigma == pytest.approx(np.sqrt(min(told)))
 
 
-def test_no_more_than_the_five_nearest_rocks_tell():
+def test_no_more_than_the_five_nearest_rocks_report():
     rocks = tracked(6)
     rocks.xyz[:] = np.column_stack((0.5 + 0.01 * np.arange(6), np.zeros(6), np.zeros(6)))
     rocks.state.p[:] = 0.0
@@ -89,7 +89,7 @@ def test_no_more_than_the_five_nearest_rocks_tell():
         assert height_sigma(rocks, np.zeros((1, 2)))[0] == pytest.approx(expected)
 
 
-def test_ground_at_one_height_everywhere_rises_nowhere():
+def test_terrain_at_one_height_everywhere_rises_nowhere():
     inertial = StrapdownState(
         np.array([0.0, 0.0, 80.0]), np.zeros(3), np.array([0, 0, 0, 1.0]), 1.6
     )

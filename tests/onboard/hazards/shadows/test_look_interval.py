@@ -49,7 +49,7 @@ def looks(frames, shots, interval):
     return found, mapper
 
 
-def test_looks_are_as_far_apart_as_told_and_every_picture_corrects_the_rocks(frames):
+def test_observations_are_as_far_apart_as_given_and_every_image_corrects_the_rocks(frames):
     shots = [("camera", round(0.1 * k, 1)) for k in range(6)]
     every, first = looks(frames, shots, 0.0)
     some, second = looks(frames, shots, 0.2)
@@ -66,7 +66,7 @@ def test_each_camera_looks_by_itself(frames):
     assert found == [shot for shot in shots if shot[1] != 0.1]
 
 
-def test_a_scenario_says_how_far_apart_looks_are():
+def test_a_scenario_says_how_far_apart_observations_are():
     root = Path(__file__).parents[4] / "scenarios"
     scenario = Scenario.load(root / "shadow_modified.toml")
     assert scenario.mappers["rocks"].clear_terrain_interval_s == 0.4

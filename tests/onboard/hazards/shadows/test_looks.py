@@ -33,7 +33,7 @@ def twice(change, pictures=3, **settings):
     return out
 
 
-def test_what_lasts_from_look_to_look_is_no_noise_of_the_filter():
+def test_what_lasts_from_observation_to_observation_is_no_noise_of_the_filter():
     """What a shape may be off by decides what is paired, not how rocks are begun or corrected."""
 
     def more(seen, _):
@@ -53,7 +53,7 @@ def test_what_lasts_from_look_to_look_is_no_noise_of_the_filter():
     assert (grown[:, :2] > 0.0).all()
 
 
-def test_a_rock_stands_where_its_second_look_shows_it():
+def test_a_rock_stands_where_its_second_observation_shows_it():
     """The first was chosen for being good, and errs by that: it is forgotten, place and size."""
     terrain = rocks_on_a_plane("hemisphere", seed=5, count=40)
     tracker = tracker_at((-30.0, 0.0, 60.0))
@@ -79,7 +79,7 @@ def test_a_rock_stands_where_its_second_look_shows_it():
 
 
 @pytest.mark.parametrize("share", [np.nan, np.inf, 0.0, -1.0, 1e12])
-def test_a_second_look_that_errs_by_no_covariance_or_all_changes_nothing(share):
+def test_a_second_observation_with_a_zero_or_infinite_covariance_changes_nothing(share):
     def broken(seen, k):
         look = seen.independent_covariance.copy()
         if k == 1:
@@ -95,7 +95,7 @@ def test_a_second_look_that_errs_by_no_covariance_or_all_changes_nothing(share):
 
 
 @pytest.mark.parametrize("broken", [np.diag([1.0, -1.0]), np.diag([-1.0, -1.0]), np.zeros((2, 2))])
-def test_a_first_look_that_errs_by_no_covariance_begins_no_rock(broken):
+def test_a_first_observation_without_a_covariance_starts_no_rock(broken):
     def change(seen, k):
         look = seen.independent_covariance.copy()
         if k == 0:
@@ -141,7 +141,7 @@ def test_a_pair_that_is_off_beside_the_others_is_left_out():
     assert shifted[-1].dof == found[-1].dof - 2
 
 
-def test_an_error_that_a_picture_shares_counts_as_much_as_it_is_told_to():
+def test_an_error_that_an_image_shares_counts_as_much_as_configured():
     def shift(seen, k):
         return replace(seen, pixel=seen.pixel + [0.4, -0.3]) if k == 2 else seen
 
@@ -182,7 +182,7 @@ def wandered(**settings):
 
 
 @pytest.mark.parametrize(("wander", "axis"), [((0.5, 0.0, 0.0), 0), ((0.0, 0.5, 0.0), 1)])
-def test_centres_wander_along_the_sun_and_across_as_each_is_told(wander, axis):
+def test_centres_wander_along_the_sun_and_across_as_each_is_given(wander, axis):
     more, *_ = wandered(view_wander=wander, range_wander=0.0)
     grown = np.einsum("mama->ma", more)
     assert (grown[:, axis] > 1e-4).all()
@@ -214,7 +214,7 @@ def test_shares_that_cannot_be_are_refused(given):
         TrackerSettings(**given)
 
 
-def test_a_rock_is_begun_where_its_place_shows_well_though_its_shape_is_not_known():
+def test_a_rock_is_started_where_its_place_shows_well_though_its_shape_is_not_known():
     def vague(seen, _):
         return replace(seen, pixel_covariance=seen.pixel_covariance + 25.0 * np.eye(2))
 

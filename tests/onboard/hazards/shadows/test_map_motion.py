@@ -17,7 +17,7 @@ def rocks_over(side, count, rng):
     return rng.uniform(-side, side, (count, 2)) + [3.0, -2.0]
 
 
-def test_many_rocks_tell_a_shift_a_turn_and_a_stretch():
+def test_many_rocks_give_a_shift_a_rotation_and_a_scale():
     rng = np.random.default_rng(4)
     places = rocks_over(15.0, 50, rng)
     slide = MapMotion(np.array(GRID.centre))
@@ -37,7 +37,7 @@ def test_many_rocks_tell_a_shift_a_turn_and_a_stretch():
     assert slide.to_current(places) == pytest.approx(places, abs=1e-12)
 
 
-def test_few_rocks_move_the_ground_as_a_whole_and_none_do_not():
+def test_few_rocks_move_the_terrain_as_a_whole_and_none_do_not():
     slide = MapMotion(np.zeros(2))
     nothing = np.full((3, 2), np.nan)
     slide.follow(np.ones((3, 2)), nothing)
@@ -85,7 +85,7 @@ def test_the_map_shows_what_was_seen_where_it_lies_now():
     assert mapping.evidence.motion.is_identity
 
 
-def test_rocks_tell_by_how_far_they_were_moved_since_they_were_asked():
+def test_rocks_report_by_how_far_they_were_moved_since_they_were_asked():
     one = tracker_at((0.0, 0.0, 50.0))
     one.add_known([[1.0, 2.0], [5.0, -3.0]], 0.1, 0.4, 0.05)
     stand, by = one.moved()

@@ -49,7 +49,7 @@ def look(scene, times, sun=SUN, counts=None):
     return mapper
 
 
-def test_where_no_rock_is_tracked_pictures_show_no_clear_ground(scene):
+def test_where_no_rock_is_tracked_images_show_no_clear_terrain(scene):
     """From picture to picture the lander errs by more than a rock: lit ground is anywhere."""
     camera, honest = scene
     tracker = tracker_at(PLACE, max_birth_sigma=1e-6, min_radius=5.0, few=0)
@@ -70,7 +70,7 @@ def see(mapper, camera, counts, time):
 
 
 @pytest.mark.parametrize("level", [0, 255])
-def test_black_and_white_pictures_clear_nothing(scene, level):
+def test_black_and_white_images_clear_nothing(scene, level):
     mapper = look(scene, np.arange(5.0), counts=np.full((480, 640), level, np.uint8))
     assert mapper.tracker.filter.count == 0
     assert not mapper.hazard_map().observed.any()
@@ -84,7 +84,7 @@ def test_black_and_white_pictures_clear_nothing(scene, level):
     assert [e.name for e in mapper.tracker.filter.events] == ["image-rejected"]
 
 
-def test_pictures_do_not_run_backwards(scene):
+def test_images_do_not_run_backwards(scene):
     mapper = look(scene, [0.0, 1.0])
     for time in (0.9, np.nan):
         with pytest.raises(InputError, match=r"image\.time"):
@@ -111,7 +111,7 @@ def test_the_sun_where_it_is_raises_no_doubt(scene):
     assert mapper.hazard_map().observed.mean() > 0.5
 
 
-def test_ground_of_rocks_begun_anew_is_not_called_clear(scene):
+def test_terrain_of_rocks_started_again_is_not_called_clear(scene):
     mapper = look(scene, 0.1 * np.arange(4))
     assert mapper.hazard_map().observed.any()
     mapper.tracker.renew()
@@ -134,7 +134,7 @@ def evidence(mapper):
     ]  # fmt: skip
 
 
-def test_pictures_that_fail_add_nothing_seen_no_rock_and_no_measurement(scene):
+def test_images_that_fail_add_nothing_seen_no_rock_and_no_measurement(scene):
     rng = np.random.default_rng(3)
     for name, counts in all_faults(scene[1][0], rng).items():
         fresh = look(scene, [0.0, 0.1, 0.2], counts=counts)
@@ -157,7 +157,7 @@ def test_pictures_that_fail_add_nothing_seen_no_rock_and_no_measurement(scene):
 
 
 @pytest.mark.parametrize("turn", [30.0, -30.0, 180.0])
-def test_a_sun_elsewhere_adds_nothing_from_the_first_picture_on(scene, turn):
+def test_a_sun_elsewhere_adds_nothing_from_the_first_image_on(scene, turn):
     mapper = look(scene, 0.1 * np.arange(4), turned(turn))
     assert not mapper.probability.observed.any()
     assert mapper.tracker.filter.count == 0
@@ -175,7 +175,7 @@ def test_frames_that_are_stuck_add_nothing_though_the_lander_moves_on(scene):
 
 
 @pytest.mark.parametrize("honest_looks", [4, 9])
-def test_pictures_of_elsewhere_add_nothing_though_no_two_are_alike(scene, honest_looks):
+def test_images_of_elsewhere_add_nothing_though_no_two_are_alike(scene, honest_looks):
     """Frames that come late, again or from another's memory show other rocks than are there."""
     mapper = look(scene, 0.1 * np.arange(honest_looks))
     before = mapper.probability.observed.copy()
@@ -271,7 +271,7 @@ def test_a_map_that_calls_all_safe_says_so_and_what_follows_too(scene, monkeypat
 
 
 @pytest.mark.parametrize("forgotten", [False, True])
-def test_what_was_seen_moves_with_what_a_picture_tells_of_the_lander(scene, monkeypatch, forgotten):
+def test_what_was_seen_moves_with_the_lander_as_an_image_corrects_it(scene, monkeypatch, forgotten):
     """What corrects the lander moves the rocks; what was seen, and is seen now, goes with them."""
     mapper = look(scene, 0.1 * np.arange(4))
     before = mapper.probability.observed
@@ -297,7 +297,7 @@ def test_what_was_seen_moves_with_what_a_picture_tells_of_the_lander(scene, monk
     assert off < 0.5 * np.mean(after != before)
 
 
-def test_rocks_begun_anew_do_not_tell_of_any_motion(scene, monkeypatch):
+def test_rocks_started_again_do_not_report_any_motion(scene, monkeypatch):
     """They stand elsewhere since another picture tells where, not since the ground moved."""
     mapper, told = look(scene, [0.0]), []
     moved = mapper.tracker.moved
@@ -330,7 +330,7 @@ def told(mapper):
     return unseen.copy()
 
 
-def test_rocks_that_are_not_tracked_are_told_as_they_would_be_anew(scene):
+def test_rocks_that_are_not_tracked_are_reported_as_they_would_be_again(scene):
     camera, honest = scene
     mapper = look(scene, [0.0])
     first = told(mapper)
@@ -357,7 +357,7 @@ def test_rocks_that_are_not_tracked_are_told_as_they_would_be_anew(scene):
     assert np.ptp(told(mapper)) == 0.0
 
 
-def test_rocks_tell_how_well_the_height_is_known_unless_it_was_measured(scene, monkeypatch):
+def test_rocks_give_the_uncertainty_of_the_height_unless_it_was_measured(scene, monkeypatch):
     camera, honest = scene
     asked = []
 
@@ -388,7 +388,7 @@ def test_places_need_not_be_known_better_than_the_least_rock_is_large(scene, mon
     assert mapper.probability.observed.any()
 
 
-def test_cells_of_a_picture_are_as_large_on_the_ground_as_their_corners_say(monkeypatch):
+def test_cells_of_an_image_are_as_large_on_the_terrain_as_their_corners_say(monkeypatch):
     """Seen aslant; by the shoelace formula, and by the length of a shadow of 1 m of radius."""
     place = (-30.0, 20.0, 40.0)
     terrain = rocks_on_a_plane("hemisphere", seed=11, count=60, size=60.0)
@@ -420,7 +420,7 @@ def test_cells_of_a_picture_are_as_large_on_the_ground_as_their_corners_say(monk
     assert np.corrcoef(sharpness, away)[0, 1] < -0.8
 
 
-def test_a_map_counts_the_point_spread_that_its_camera_is_judged_by(scene):
+def test_a_map_counts_the_point_spread_that_its_camera_is_evaluated_by(scene):
     """A camera of 0.7 pixels and one of 0.6, as its pictures are: the same looks, less sharp."""
     camera, honest = scene
     sharpest = {}

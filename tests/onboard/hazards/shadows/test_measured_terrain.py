@@ -75,7 +75,7 @@ def test_heights_are_means_of_what_is_known_about_a_point(posting, cells, level)
     assert np.isnan(told).any()
 
 
-def test_nothing_is_known_of_points_that_are_none_nor_of_ground_that_nobody_measured():
+def test_nothing_is_known_of_points_that_are_none_nor_of_terrain_that_nobody_measured():
     points = np.array([[40.0, -30.0], [np.nan, 0.0], [np.inf, -30.0]])
     assert np.isnan(MeasuredTerrain(None).heights(points)).all()
     assert np.isnan(MeasuredTerrain(Maps()).heights(points)).all()
@@ -182,7 +182,7 @@ def share_dark(mapper, terrain):
     return float((dark[looked] > lit[looked]).mean())
 
 
-def test_looks_at_a_terrace_fall_where_its_ground_is(terrain):
+def test_observations_of_a_terrace_fall_on_its_terrain(terrain):
     seen = terrace(60.0, 0.5)
     drawn = measured(seen.z, seen.grid)
     assert share_dark(tracked(terrain, Maps(drawn))[1], terrain) > 0.8
@@ -191,7 +191,7 @@ def test_looks_at_a_terrace_fall_where_its_ground_is(terrain):
     assert share_dark(tracked(terrain, Maps(level))[1], terrain) < 0.5
 
 
-def test_heights_are_doubted_where_nobody_has_measured_them(terrain):
+def test_heights_are_uncertain_without_measurements(terrain):
     """Ahead of the rocks that tell it, the height of the ground is anything."""
     seen = terrace(60.0, 0.5)
     z = seen.z.copy()
@@ -213,7 +213,7 @@ def rocks_on(ground, xy):
     return rocks
 
 
-def test_rocks_tell_the_height_where_nobody_has_measured_it():
+def test_rocks_give_the_height_where_nobody_has_measured_it():
     rocks = rocks_on(measured(np.full(GRID.shape, 5.0)), [[42.0, -30.0], [38.0, -28.0]])
     np.testing.assert_allclose(rocks.xyz[:, 2], 5.0)
     at = np.array([[43.0, -29.0], [37.0, -29.0]])
@@ -227,7 +227,7 @@ def test_rocks_tell_the_height_where_nobody_has_measured_it():
 
 
 @pytest.mark.parametrize(("count", "laid"), [(4, 0.0), (5, 1.2), (9, 1.2)])
-def test_the_shape_of_measured_ground_is_laid_on_the_rocks(count, laid):
+def test_the_shape_of_measured_terrain_is_laid_on_the_rocks(count, laid):
     """As many as tell it; one of them that stands elsewhere does not move the ground."""
     slope = sloping((0.1, 0.0))
     higher = replace(slope, elevation=slope.elevation + np.float32(1.2))
@@ -248,7 +248,7 @@ def test_the_shape_of_measured_ground_is_laid_on_the_rocks(count, laid):
     np.testing.assert_allclose(rocks.terrain_height_at([[50.0, -25.0]]), 12.0, atol=0.03)
 
 
-def test_rocks_are_laid_on_ground_once_each_time_that_it_is_measured(terrain, monkeypatch):
+def test_rocks_are_laid_on_terrain_once_each_time_that_it_is_measured(terrain, monkeypatch):
     """The error of one scan is the same however many pictures follow it."""
     calls = []
     plain = RockFilter.correct_heights_by_terrain
@@ -278,7 +278,7 @@ def test_rocks_are_laid_on_ground_once_each_time_that_it_is_measured(terrain, mo
     assert len(calls) == 3
 
 
-def test_ground_that_cannot_be_under_the_rocks_is_told(terrain, monkeypatch):
+def test_terrain_that_cannot_be_under_the_rocks_is_reported(terrain, monkeypatch):
     seen = terrace(60.0, 0.5)
     maps = Maps(measured(seen.z, seen.grid))
     _, mapper = tracked(terrain, maps)

@@ -53,7 +53,7 @@ def test_places_are_known_as_the_mean_of_the_rocks_about_is_or_their_median(rock
     assert (medians > position_sigma(rocks, where)).sum() == by_mean
 
 
-def test_rocks_that_err_each_by_themselves_tell_places_together():
+def test_rocks_with_independent_errors_give_places_together():
     tracker = tracker_at((0.0, 0.0, 60.0))
     where = np.array([[-20.0, 0.0], [20.0, 0.0], [0.0, 200.0]])
     # Nothing holds the lander to the ground.

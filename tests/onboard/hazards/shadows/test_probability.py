@@ -2,10 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.special import i0e
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.hazards.shadows import _probability_kernels as kernels
 from lunarsim.onboard.hazards.shadows import (
     cover_probability,
 )
@@ -31,11 +29,6 @@ def test_far_from_a_rock_the_form_is_as_good_as_near_it(away):
         mean = max(d + rng.uniform(-3.0, 3.0) * np.hypot(sigma, spread), 0.05)
         found = cover_probability([[d]], [sigma], [mean], [spread])[0, 0]
         assert found == pytest.approx(rice(d, sigma, mean, spread), abs=7e-4)
-
-
-def test_the_scaled_bessel_function_is_that_of_scipy():
-    x = np.concatenate(([0.0, 3.75], np.geomspace(1e-3, 700.0, 200)))
-    assert [kernels.i0e(v) for v in x] == pytest.approx(i0e(x).tolist(), rel=6e-7)
 
 
 def test_rice_form_equals_monte_carlo():

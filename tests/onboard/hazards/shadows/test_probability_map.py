@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from lunarsim.onboard.hazards.shadows import (
     HazardPrior,
     ProbabilityMap,
 )
-from lunarsim.onboard.hazards.shadows import _probability_kernels as kernels
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.shadow_model import ShadowModel
@@ -49,26 +47,6 @@ def test_map_begins_with_the_prior_and_falls_by_eq_14():
     middle = sharp.probability(tracker)[80, 80]
     # Sizes are taken in 24 classes.
     assert middle == pytest.approx(float(expected), abs=0.15 * float(golombek_cover(0.4, 0.07)))
-
-
-def test_paint_equals_a_plain_loop():
-    rng = np.random.default_rng(4)
-    xy = rng.uniform(-22.0, 22.0, (40, 2))
-    reach = rng.uniform(0.5, 3.0, 40)
-    profile = np.sort(rng.random((40, 33)), axis=1)[:, ::-1].copy()
-    profile[:, -1] = 0.0
-    weight = rng.random(40)
-    clear = np.ones(GRID.shape)
-    kernels.multiply_clear_probability(
-        clear, GRID.x0, GRID.y0, GRID.posting, xy, reach, profile, weight
-    )
-    expected = np.ones(GRID.shape)
-    for i, j in product(range(0, GRID.rows, 3), range(0, GRID.cols, 3)):
-        for k in range(40):
-            d = np.hypot(GRID.x[j] - xy[k, 0], GRID.y[i] - xy[k, 1])
-            p = np.interp(d / reach[k] * 32, np.arange(33), profile[k], right=0.0)
-            expected[i, j] *= 1.0 - weight[k] * p
-    assert clear[::3, ::3] == pytest.approx(expected[::3, ::3], abs=1e-12)
 
 
 def test_map_is_a_probability_and_knows_the_rocks():
@@ -139,7 +117,7 @@ def test_a_tracked_rock_is_a_hazard_if_its_longer_axis_is_long_enough(shape):
         assert told == pytest.approx(0.9 * np.mean(disc * stretch >= 0.25), abs=0.01), radius
 
 
-def test_dark_ground_is_not_seen():
+def test_dark_terrain_is_not_seen():
     mapping = ProbabilityMap(GRID, MODEL)
     terrain = rocks_on_a_plane("hemisphere", count=1)
     state, camera, counts = picture(terrain, (0.0, 0.0, 60.0))

@@ -43,12 +43,12 @@ def test_what_is_no_elevation_or_was_not_observed_says_nothing():
 
 
 @pytest.mark.parametrize(("gradient", "seen"), [((0.1, 0.0), 0.2), ((0.28, 0.2), 1.0)])
-def test_too_little_and_too_steep_ground_tell_none(gradient, seen):
+def test_too_little_and_too_steep_terrain_give_none(gradient, seen):
     assert fit_terrain_plane(mapped(gradient, seen)) is None
 
 
 @pytest.mark.parametrize(("corner", "diameter"), [((35.0, 35.0), 40.0), ((45.0, 0.0), 60.0)])
-def test_part_of_a_crater_does_not_tell_how_the_ground_slopes(corner, diameter):
+def test_part_of_a_crater_does_not_give_the_slope_of_the_terrain(corner, diameter):
     """Its wall fills the half or quarter that was seen; the whole map slopes by 0.02 or less."""
     x, y = np.meshgrid(GRID.x - 40.0, GRID.y + 30.0)
     away = np.hypot(x - corner[0], y - corner[1]) / (0.5 * diameter)
@@ -64,7 +64,7 @@ def test_part_of_a_crater_does_not_tell_how_the_ground_slopes(corner, diameter):
     assert whole is None or np.hypot(*whole.gradient) < 0.03
 
 
-def test_a_map_of_few_cells_tells_what_they_do():
+def test_a_map_of_few_cells_reports_what_they_do():
     few = Grid.centred((0.0, 0.0), 3.0, 1.0)
     x, _ = np.meshgrid(few.x, few.y)
     drawn = replace(HazardMap.unobserved(few), elevation=(0.1 * x).astype(np.float32))

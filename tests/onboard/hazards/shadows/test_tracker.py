@@ -122,7 +122,7 @@ def test_radii_of_all_rocks_seen_are_corrected():
     assert np.median(own[0]) > 2.0 * np.median(own[1])
 
 
-def test_pictures_do_not_run_backwards():
+def test_images_do_not_run_backwards():
     terrain = rocks_on_a_plane("hemisphere", seed=11, count=20, size=40.0)
     tracker = follow(terrain, [(0.0, 0.0, 50.0)] * 3, tracker_at((0.0, 0.0, 50.0)))
     _, camera, counts = picture(terrain, (0.0, 0.0, 50.0))
@@ -164,7 +164,7 @@ def test_an_image_without_rocks_moves_nothing_and_many_say_that_something_is_wro
     )
 
 
-def test_rocks_that_cannot_be_explained_are_begun_anew():
+def test_rocks_that_cannot_be_explained_are_started_again():
     """The lander believes to be 4 m beside where it is: no rock is where it should be."""
     place = (0.0, 0.0, 50.0)
     terrain = rocks_on_a_plane("hemisphere", seed=11, count=60, size=60.0)

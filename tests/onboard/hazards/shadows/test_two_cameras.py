@@ -95,7 +95,7 @@ def frames():
     return out
 
 
-def test_each_camera_is_compared_with_its_own_last_pictures(frames):
+def test_each_camera_is_compared_with_its_own_last_images(frames):
     """A buffer that stands still is seen, though another camera's pictures come between."""
     eye, pictures = frames["wide"]
     mapper = mapper_of("wide", "narrow")
@@ -124,7 +124,7 @@ def test_both_cameras_see_rocks_where_they_are(frames):
     assert np.median(off.min(1)) < 0.25
 
 
-def test_a_picture_older_than_another_cameras_last_is_left_out(frames):
+def test_an_image_older_than_another_cameras_last_is_left_out(frames):
     mapper = mapper_of("wide", "narrow")
     look(mapper, "wide", *frames_at(frames, "wide", 0), 1.0)
     look(mapper, "narrow", *frames_at(frames, "narrow", 0), 0.5)

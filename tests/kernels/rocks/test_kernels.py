@@ -30,7 +30,7 @@ def rays(rng, row, count):
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("shape", [0, 1, 2, 9])
-def test_rays_meet_rock_or_ground(shape, seed):
+def test_rays_meet_rock_or_terrain(shape, seed):
     rng = np.random.default_rng((shape, seed))
     table = shape_table()
     planes = table.planes[shape, : table.count[shape]]

@@ -82,7 +82,7 @@ def test_the_first_pad_to_touch_is_found():
     assert 30 < hits < 120
 
 
-def test_beyond_its_posts_ground_is_unknown():
+def test_beyond_its_posts_terrain_is_unknown():
     z = np.arange(12.0, dtype=np.float32).reshape(3, 4) ** 2
     frame = np.array([1.0, 2.0, 0.5])
     assert k.height_at(z, frame, 1.25, 2.5) == pytest.approx(20.5)

@@ -38,7 +38,7 @@ def test_squares_that_points_lie_on(seed):
     assert kernels.count_covered_squares(points, side, wanted - 1) == wanted - 1
 
 
-def test_squares_of_a_scan_that_grazes_the_ground_are_not_counted_one_by_one():
+def test_squares_of_a_scan_that_grazes_the_terrain_are_not_counted_one_by_one():
     far = np.array([[0.0, 0.0, 0.0], [1e5, 1e5, 0.0]])
     assert kernels.count_covered_squares(far, 1.0, 10) == -1
     assert kernels.count_covered_squares(np.full((4, 3), np.nan), 1.0, 10) == 0

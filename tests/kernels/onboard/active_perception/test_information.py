@@ -127,7 +127,7 @@ def test_what_leans_at_the_end_is_refused(max_final_tilt):
     assert 0 < np.isfinite(found[:, 1]).sum() < np.isfinite(loose[:, 1]).sum()
 
 
-def test_what_leans_where_the_path_ends_is_refused_though_looks_count_down_to_there():
+def test_what_leans_where_the_path_ends_is_refused_though_observations_count_down_to_there():
     plans = some_plans(np.random.default_rng(9), 90)
     found, wanted = both(np.random.default_rng(8), [an_eye(np.random.default_rng(1))], plans,
                          max_final_tilt=0.2, least=0.0)  # fmt: skip
@@ -149,7 +149,7 @@ def test_an_altitude_that_is_passed_on_the_way_up_is_past(monkeypatch):
     np.testing.assert_array_equal(found, only)
 
 
-def test_ground_above_the_lander_is_not_seen():
+def test_terrain_above_the_lander_is_not_seen():
     """Just before it, too, where tables carried on below the horizon would tell all."""
     rng = np.random.default_rng(5)
     eye = an_eye(rng, half_field=89.0)
@@ -163,7 +163,7 @@ def test_ground_above_the_lander_is_not_seen():
         np.testing.assert_allclose(out[good, 0], 0.1)
 
 
-def test_nothing_to_look_at_is_nothing_known():
+def test_without_observations_nothing_is_known():
     rng = np.random.default_rng(2)
     eye = an_eye(rng)
     node = {"at": np.zeros(3), "weight": 0.0, "known": 0.4, "needs": 0.0}

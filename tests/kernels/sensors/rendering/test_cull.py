@@ -129,7 +129,7 @@ def test_boxes_are_gathered_with_their_numbers():
     assert np.array_equal(rows, box[picked].astype("f4"))
 
 
-def test_corners_of_boxes_are_counted_from_the_corner_of_the_picture():
+def test_corners_of_boxes_are_counted_from_the_corner_of_the_image():
     box = np.array([[1.5, 2.5, 8.5, 9.5], [-0.5, -0.5, 3.5, 0.5]])
     corners = kernels.box_corners(box, np.array([7, 4], dtype=np.int32), np.array([1, 0]))
     assert corners.tolist() == [

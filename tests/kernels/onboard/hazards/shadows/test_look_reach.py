@@ -70,7 +70,7 @@ def test_at_the_horizon_the_least_error_of_height_hides_all():
 
 
 @pytest.mark.parametrize("reach", [np.nan, np.inf])
-def test_of_ground_whose_error_is_no_number_nothing_is_seen(reach):
+def test_of_terrain_whose_error_is_no_number_nothing_is_seen(reach):
     assert not is_lit(reach)
 
 
@@ -84,7 +84,7 @@ def one_rock(plane=LEVEL):
     return camera.view(state), seen
 
 
-def test_the_ground_is_searched_by_twice_what_its_height_errs_where_places_lie_now(monkeypatch):
+def test_terrain_is_searched_by_twice_its_height_error_at_the_current_places(monkeypatch):
     view, seen = one_rock()
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     rocks = np.random.default_rng(0).uniform(-15.0, 15.0, (30, 2))
@@ -105,7 +105,7 @@ def test_the_ground_is_searched_by_twice_what_its_height_errs_where_places_lie_n
 
 @pytest.mark.parametrize("gradient", [(0.0, 0.0), (0.1, -0.12)])
 @pytest.mark.parametrize("lower", [-3.0, 3.0])
-def test_a_rock_on_ground_taken_for_lower_or_higher_is_not_cleared(lower, gradient):
+def test_a_rock_on_terrain_taken_for_lower_or_higher_is_not_cleared(lower, gradient):
     """Its shadow shows beside where it is looked for, and no farther than the ground may be off."""
     plane = GroundPlane(0.0, gradient)
     view, seen = one_rock(plane)
@@ -130,7 +130,7 @@ def test_a_rock_on_ground_taken_for_lower_or_higher_is_not_cleared(lower, gradie
     assert cleared == {0.0: True, 0.5: True, 2.0: False}
 
 
-def test_ground_of_which_next_to_nothing_is_known_is_not_seen():
+def test_terrain_of_which_next_to_nothing_is_known_is_not_seen():
     view, seen = one_rock()
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     evidence.add_image(
@@ -141,7 +141,7 @@ def test_ground_of_which_next_to_nothing_is_known_is_not_seen():
     assert not evidence.lit[0, 90:].any()
 
 
-def test_a_map_hands_on_what_the_height_of_the_ground_errs_by():
+def test_a_map_passes_on_the_height_error_of_the_terrain():
     mapping = ProbabilityMap(GRID, MODEL, HazardPrior(0.05, 0.5))
     view, seen = one_rock()
     mapping.add_image(view, SUN, seen, height_sigma=lambda xy: np.full(len(xy), np.inf))

@@ -97,7 +97,7 @@ def test_search_ends_at_the_edge_of_what_is_admissible():
 
 
 @pytest.mark.parametrize("glide", [0.25, 0.0, -1e9])
-def test_a_site_is_judged_alike_whoever_stands_beside_it(glide):
+def test_a_site_is_evaluated_alike_whoever_stands_beside_it(glide):
     powers, samples = (1.0, 2.0), 24
     rng = np.random.default_rng(11)
     state = np.array([[-150.0, 40.0, 260.0], [14.0, -3.0, -12.0]])

@@ -76,7 +76,7 @@ def test_triangles_of_a_block_stand_together():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_pictures_are_those_with_all_blocks_drawn(seed, monkeypatch):
+def test_images_are_those_with_all_blocks_drawn(seed, monkeypatch):
     rng = np.random.default_rng(seed)
     grid = Grid.centred((0.0, 0.0), 150.0, 0.5)
     relief = fractal_relief(grid, rng, hurst=0.8, rms_slope=0.15)

@@ -32,7 +32,7 @@ def test_windows_hold_the_raster_and_far_beyond_it(corner):
         assert spreads[i, j] == (variance[row, col] if known else np.float32(FAR)), (i, j)
 
 
-def test_lids_follow_the_ground_at_large():
+def test_lids_follow_the_terrain_at_large():
     rng = np.random.default_rng(1)
     side, arm = exact.SQUARE, 5
     z = np.cumsum(rng.normal(0.0, 0.1, (33, 44)), axis=1).astype(np.float32)

@@ -301,7 +301,7 @@ def test_sites_are_those_that_the_computer_proposes():
         assert np.isfinite(plain.propellant).sum() == seen.candidates.reachable.sum()
 
 
-def test_a_lattice_is_told_what_maps_are():
+def test_a_lattice_receives_the_values_of_maps():
     """The sparse choice sees the cells of the dense map: its site is one of them, told alike."""
     dense = lanes(6)
     # A map of as many cells as the lattice spans, so that both number them alike.
