@@ -1,1 +1,1 @@
-"""Calibrated probabilities of landing safety of the Gaussian DEM, quadtree and fused map."""
+"""Calibrated safety of the Gaussian DEM, the quadtree and the fused map."""
