@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim.grid import Grid
-from lunarsim.onboard.calibration.gaussian_dem import calibrated_safety
+from lunarsim.onboard.calibration.calibrated_safety import calibrated_safety
 from lunarsim.onboard.hazards.fusion.elevation_samples import ElevationSamples
 from lunarsim.onboard.hazards.fusion.flat_terrain import (
     apply_ceiling,

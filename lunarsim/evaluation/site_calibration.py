@@ -13,17 +13,9 @@ from numpy.typing import ArrayLike
 from lunarsim.errors import InputError
 from lunarsim.evaluation.reliability import EDGES, reliability
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.calibration.calibrated_safety import site_probability
 from lunarsim.onboard.calibration.domain import CalibrationDomain
-from lunarsim.onboard.calibration.gaussian_dem import (
-    MapEvidence,
-    in_domain,
-    log_odds_bounds,
-    observed_terrain_bound,
-    outside_domain_bound,
-    p_no_rock_under_pads,
-    packaged_ensemble,
-    site_probability,
-)
+from lunarsim.onboard.calibration.gaussian_dem import GAUSSIAN_DEM, MapEvidence
 from lunarsim.onboard.calibration.scenario_calibration import (
     MIN_SITES_PER_CLASS,
     ScenarioCalibration,
@@ -99,18 +91,18 @@ class SiteSamples:
         """
         n = int(mask.sum())
         e = evidence
-        odds = log_odds_bounds(e, mask, packaged_ensemble())
-        most, clear = observed_terrain_bound(e)[mask], p_no_rock_under_pads(e)[mask]
+        odds = e.log_odds_bounds(mask, GAUSSIAN_DEM.packaged)
+        most, clear = e.observed_terrain_bound()[mask], e.p_no_rock_under_pads()[mask]
         return cls(
             np.full(n, flight, np.int64),
             odds.low,
             odds.estimate(np.minimum(most, clear)).agreed,
             most,
             clear,
-            outside_domain_bound(e)[mask],
-            in_domain(e)[mask],
-            e.expected_hazards()[mask],
-            e.expected_tilt_violations()[mask],
+            e.outside_domain_bound()[mask],
+            e.in_domain[mask],
+            e.expected_hazards[mask],
+            e.expected_tilt_violations[mask],
             np.full(n, e.noise_ratio),
             np.full(n, e.spacing_ratio),
             safe[mask],
@@ -146,8 +138,9 @@ class SiteSamples:
         """
         covered = self.known if refit is None else self.inside(refit.domain)
         return site_probability(
-            self.log_odds, self.ceiling, self.clear, self.bound, self.known, covered, refit
-        )
+            GAUSSIAN_DEM, self.log_odds, self.ceiling, self.clear, self.bound, self.known, covered,
+            refit,
+        )  # fmt: skip
 
     def fitted(self, lander: Lander) -> ScenarioCalibration:
         """Return a calibration whose last stage is fitted to these sites.
@@ -163,7 +156,7 @@ class SiteSamples:
         domain = self.domain()
         s = self.at(self.inside(domain))
         return ScenarioCalibration.fit(
-            s.log_odds, s.safe, s.known, domain, lander, packaged_ensemble()
+            s.log_odds, s.safe, s.known, domain, lander, GAUSSIAN_DEM.packaged
         )
 
 

@@ -38,20 +38,10 @@ from lunarsim.evaluation.reliability import (
     chance_calibration_error,
     reliability,
 )
-from lunarsim.onboard.calibration.ensemble import (
-    ALMOST_CERTAINLY_UNSAFE_P,
-    Ensemble,
-    conservative_probability,
-)
-from lunarsim.onboard.calibration.gaussian_dem import (
-    MONOTONE_FEATURES,
-    NEAR_DOMAIN_LOG_ODDS_MARGIN,
-    features,
-    in_domain,
-    observed_terrain_bound,
-    outside_domain_bound,
-    p_no_rock_under_pads,
-)
+from lunarsim.onboard.calibration.conservative_probability import conservative_probability
+from lunarsim.onboard.calibration.ensemble import Ensemble
+from lunarsim.onboard.calibration.evidence import MapRegression
+from lunarsim.onboard.calibration.gaussian_dem import GAUSSIAN_DEM
 from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import dem_site_evidence
 from lunarsim.rocks.population import RockExpectation
@@ -78,17 +68,7 @@ def evaluate_scene(scene: LidarScene) -> SceneSites:
     sites = scene.rng(4).choice(sites, min(SITES, len(sites)), replace=False)
     where = np.zeros(grid.shape, bool)
     where.ravel()[sites] = True
-    return SceneSites(
-        scene,
-        features(evidence, where).astype(np.float32),
-        in_domain(evidence)[where],
-        np.minimum(observed_terrain_bound(evidence), p_no_rock_under_pads(evidence))[where],
-        outside_domain_bound(evidence)[where],
-        evidence.slope[where],
-        np.ones(np.count_nonzero(where), bool),
-        float(evidence.curve.at(lander.roughness_limit)),
-        truth.safe[where],
-    )
+    return SceneSites.of(scene, evidence, where, truth.safe[where])
 
 
 @dataclass(frozen=True)
@@ -124,15 +104,15 @@ class PooledSites:
 
 def fit_model(
     evaluated: list[SceneSites],
-    monotone_count: int = MONOTONE_FEATURES,
+    regression: MapRegression = GAUSSIAN_DEM,
     note: str = "",
     initial: Ensemble | None = None,
 ) -> Ensemble:
     """Fit the calibrated safety probability to the sites in its domain.
 
     The result is an ensemble: one model for all sites, and one without each kind of relief, rocks,
-    lander and range. The weights of the last `monotone_count` inputs are non-negative; `note` is
-    stored in the model; `initial` is an ensemble whose weights start the iteration.
+    lander and range. `regression` declares the features; `note` is stored in the model; `initial`
+    is an ensemble whose weights start the iteration.
     """
     s = PooledSites.of(evaluated)
     number = np.repeat(np.arange(len(evaluated)), [len(j.safe) for j in evaluated])[s.known]
@@ -142,19 +122,15 @@ def fit_model(
         for name in names
     }
     x, y = s.features[s.known], s.safe[s.known]
-    return Ensemble.fit(x, y, worlds, note, rising=monotone_count, start=initial)
+    return Ensemble.fit(x, y, worlds, note, rising=regression.monotone_count, start=initial)
 
 
 def predict_safety(
-    model: Ensemble,
-    sites: PooledSites,
-    outside_margin: float = NEAR_DOMAIN_LOG_ODDS_MARGIN,
-    unsafe_limit: float = ALMOST_CERTAINLY_UNSAFE_P,
+    model: Ensemble, sites: PooledSites, regression: MapRegression = GAUSSIAN_DEM
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return p_safe of sites by a model, and whether each value is calibrated (n,).
 
-    `outside_margin` is the log-odds margin outside the calibrated domain. Sites with a probability
-    of at most `unsafe_limit` are classified as certainly unsafe.
+    `regression` declares the margin outside the domain and the threshold of unsafe sites.
     """
     odds = model.evaluate_features(sites.features)
     p = conservative_probability(
@@ -162,10 +138,10 @@ def predict_safety(
         sites.observed_terrain_bound,
         sites.outside_domain_bound,
         sites.known,
-        outside_margin,
+        regression.outside_margin,
     )
     return p, sites.known & odds.estimate(
-        sites.observed_terrain_bound, unsafe_limit, sites.doomed
+        sites.observed_terrain_bound, regression.max_unsafe_p, sites.doomed
     ).agreed
 
 
@@ -377,19 +353,14 @@ class CalibrationMethod:
         Script that runs the study.
     evaluate, sample
         Function that maps and evaluates a scene; function of count and seed that samples scenes.
-    monotone_count
-        Number of inputs with non-negative weights; these are the last inputs.
-    outside_margin, unsafe_limit
-        Log-odds margin outside the calibrated domain; maximum probability of sites that are
-        classified as certainly unsafe.
+    regression
+        Declaration of the calibrated probability of the mapper.
     """
 
     command: str
     evaluate: Callable[[LidarScene], SceneSites]
     sample: Callable[[int, int], list[LidarScene]]
-    monotone_count: int
-    outside_margin: float = NEAR_DOMAIN_LOG_ODDS_MARGIN
-    unsafe_limit: float = ALMOST_CERTAINLY_UNSAFE_P
+    regression: MapRegression
 
     def predict_held_out(
         self, name: str, model: Ensemble, scenes: list[SceneSites]
@@ -399,9 +370,7 @@ class CalibrationMethod:
         `name` is the scene type, for example "rocks posts"; `scenes` are its evaluated scenes.
         """
         sites = PooledSites.of(scenes)
-        return HeldOutPrediction(
-            name, *predict_safety(model, sites, self.outside_margin, self.unsafe_limit), sites
-        )
+        return HeldOutPrediction(name, *predict_safety(model, sites, self.regression), sites)
 
 
 def report(
@@ -418,11 +387,11 @@ def report(
     `note` is stored in the model. Without `model_file` or `figure_file`, the model is not saved or
     the figure not plotted.
     """
-    model = fit_model(evaluated, method.monotone_count, note)
+    model = fit_model(evaluated, method.regression, note)
     if model_file is not None:
         model.save(model_file)
     left = list(split_by_scene_type(evaluated))
-    fit = partial(fit_model, monotone_count=method.monotone_count, initial=model)
+    fit = partial(fit_model, regression=method.regression, initial=model)
     models = [
         model,
         *collect_results(fit, [others for _, others, _ in left], jobs, console, "fits"),
@@ -448,7 +417,7 @@ def evaluate_scene_type(
     others = next(
         (others for row, others, _ in split_by_scene_type(evaluated) if row == name), evaluated
     )
-    return method.predict_held_out(name, fit_model(others, method.monotone_count), new_scenes)
+    return method.predict_held_out(name, fit_model(others, method.regression), new_scenes)
 
 
 def sample_new_scenes(
@@ -504,7 +473,7 @@ def main(**values: Any) -> None:
     """Fit the safety probability of the Gaussian DEM; test it on held-out terrains."""
     study(
         CalibrationMethod(
-            "scenarios/lidar_maps/calibration.py", evaluate_scene, sample_scenes, MONOTONE_FEATURES
+            "scenarios/lidar_maps/calibration.py", evaluate_scene, sample_scenes, GAUSSIAN_DEM
         ),
         **values,
     )

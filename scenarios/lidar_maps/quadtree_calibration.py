@@ -18,14 +18,7 @@ from scene_cache import SceneSites
 from worlds import LANDERS, UPRIGHT, LidarScene, sample_matrix
 
 from lunarsim import exact_safety
-from lunarsim.onboard.calibration.ensemble import LOG_ODDS_MARGIN
-from lunarsim.onboard.calibration.quadtree import (
-    MAX_CLAIMED_UNSAFE,
-    MONOTONE_FEATURES,
-    bound,
-    ceiling,
-    features,
-)
+from lunarsim.onboard.calibration.quadtree import QUADTREE
 from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector, SiteSettings
 from lunarsim.onboard.hazards.quadtree.site_evidence import quadtree_site_evidence
 from lunarsim.rocks.population import RockExpectation
@@ -61,21 +54,11 @@ def evaluate_scene(scene: LidarScene) -> SceneSites:
     row, col = grid.cell(selection.position[:, :2])
     inside = (row >= 0) & (col >= 0) & (row < grid.rows) & (col < grid.cols)
     row, col = np.clip(row, 0, grid.rows - 1), np.clip(col, 0, grid.cols - 1)
-    sites = np.flatnonzero(evidence.is_evaluated & inside & truth.observed[row, col])
+    sites = np.flatnonzero(evidence.observed & inside & truth.observed[row, col])
     sites = np.sort(scene.rng(4).choice(sites, min(SITES, len(sites)), replace=False))
     where = np.zeros(len(row), bool)
     where[sites] = True
-    return SceneSites(
-        scene,
-        features(evidence, where).astype(np.float32),
-        evidence.in_domain[where],
-        ceiling(evidence)[where],
-        bound(evidence)[where],
-        evidence.slope[where],
-        evidence.may_be_unsafe[where],
-        float(evidence.curve.at(lander.roughness_limit)),
-        truth.safe[row, col][where],
-    )
+    return SceneSites.of(scene, evidence, where, truth.safe[row, col][where])
 
 
 def sample_scenes(count: int, seed: int) -> list[LidarScene]:
@@ -92,14 +75,7 @@ def main(**values: Any) -> None:
     """Fit the safety probability of the quadtree; test it on held-out terrains."""
     command = "scenarios/lidar_maps/quadtree_calibration.py"
     study(
-        CalibrationMethod(
-            command,
-            evaluate_scene,
-            sample_scenes,
-            MONOTONE_FEATURES,
-            LOG_ODDS_MARGIN,
-            MAX_CLAIMED_UNSAFE,
-        ),
+        CalibrationMethod(command, evaluate_scene, sample_scenes, QUADTREE),
         **values,
     )
 

@@ -19,6 +19,7 @@ from worlds import LidarScene
 
 from lunarsim.atomic_files import atomic_write
 from lunarsim.campaign.pool import collect_results
+from lunarsim.onboard.calibration.evidence import CalibrationEvidence
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,24 @@ class SceneSites:
     doomed: np.ndarray
     cover: float
     safe: np.ndarray
+
+    @classmethod
+    def of(
+        cls, scene: LidarScene, evidence: CalibrationEvidence, where: np.ndarray, safe: np.ndarray
+    ) -> SceneSites:
+        """Collect the sites of a scene in the mask `where`; `safe` (n,) is their true safety."""
+        e = evidence
+        return cls(
+            scene,
+            e.features(where).astype(np.float32),
+            e.in_domain[where],
+            np.minimum(e.observed_terrain_bound(), e.p_no_rock_under_pads())[where],
+            e.outside_domain_bound()[where],
+            e.slope[where],
+            e.may_be_claimed_unsafe[where],
+            float(e.curve.at(e.lander.roughness_limit)),
+            safe,
+        )
 
 
 ARRAYS = (

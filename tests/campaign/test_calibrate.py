@@ -14,7 +14,7 @@ from lunarsim.campaign import calibrate as campaign
 from lunarsim.campaign.calibrate import calibrate, gaussian_mapper
 from lunarsim.cli import main
 from lunarsim.errors import InputError
-from lunarsim.onboard.calibration.gaussian_dem import calibrated_safety
+from lunarsim.onboard.calibration.calibrated_safety import calibrated_safety
 from lunarsim.onboard.calibration.scenario_calibration import ScenarioCalibration
 from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import dem_site_evidence
 from lunarsim.rng import calibration_seed, flight_seed

@@ -13,18 +13,15 @@ from lunarsim.evaluation.reliability import brier_score, brier_skill, calibratio
 from lunarsim.evaluation.site_calibration import SiteSamples, cross_validate, sample_sites
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.calibration.ensemble import (
+from lunarsim.onboard.calibration.calibrated_safety import calibrated_safety
+from lunarsim.onboard.calibration.conservative_probability import (
     ALMOST_CERTAINLY_SAFE_P,
     ALMOST_CERTAINLY_UNSAFE_P,
     LOG_ODDS_MARGIN,
     conservative_probability,
     lower_bound_probability,
 )
-from lunarsim.onboard.calibration.gaussian_dem import (
-    NEAR_DOMAIN_LOG_ODDS_MARGIN,
-    calibrated_safety,
-    observed_terrain_bound,
-)
+from lunarsim.onboard.calibration.gaussian_dem import GAUSSIAN_DEM
 from lunarsim.safety import SafetyMap
 from lunarsim.world.truth import TerrainTruth
 from tests.map_evidence import evidence
@@ -48,7 +45,7 @@ def test_sites_are_evaluated_where_they_truly_are():
     assert taken.sum() == len(found) > 20
     assert np.array_equal(found.safe, (x - 1.0 < 1.9)[taken])
     assert 0 < found.safe.sum() < len(found)
-    assert np.array_equal(found.tilting, e.expected_tilt_violations()[taken])
+    assert np.array_equal(found.tilting, e.expected_tilt_violations[taken])
     assert (found.flight == 5).all()
     some = [sample_sites(e, truth, np.zeros(3), 20, 0, np.random.default_rng(i)) for i in (1, 1, 2)]
     assert [len(s) for s in some] == [20, 20, 20]
@@ -65,7 +62,7 @@ def test_sites_that_gravel_may_tilt_count_as_not_claimed_as_on_the_map():
     assert 0 < claimed.sum() < claimed.size
     assert np.array_equal((found.known & found.agreed), claimed[e.observed])
     assert (
-        observed_terrain_bound(e)[~claimed] > ALMOST_CERTAINLY_SAFE_P
+        e.observed_terrain_bound()[~claimed] > ALMOST_CERTAINLY_SAFE_P
     ).any()  # it was the rocks that told
 
 
@@ -78,7 +75,7 @@ def sites(flight: int, n: int = 1500, shift: float = 0.0, known: float = 0.5, se
         expit(z) <= ALMOST_CERTAINLY_UNSAFE_P
     )
     said = conservative_probability(
-        z, np.ones(n), np.full(n, 0.1), inside, NEAR_DOMAIN_LOG_ODDS_MARGIN
+        z, np.ones(n), np.full(n, 0.1), inside, GAUSSIAN_DEM.outside_margin
     )
     truth = said if right else expit(z - LOG_ODDS_MARGIN + shift)
     return SiteSamples(

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.calibration.gaussian_dem import calibrated_safety
+from lunarsim.onboard.calibration.calibrated_safety import calibrated_safety
 from lunarsim.safety.undetected_rock_ratio import UndetectedRockRatio
 from tests.map_evidence import SIDE, evidence, rocky
 from tests.reference import fusion as plain
@@ -141,7 +141,7 @@ def test_fewer_unseen_rocks_make_sites_safer_and_more_less_safe(slope):
         assert (fewer < getattr(plainly, name)()).all(), name
     # Holes are no rocks.
     fewer = replace(plainly, undetected_rock_ratio=thinning())
-    assert np.array_equal(fewer.expected_hole_violations(), plainly.expected_hole_violations())
+    assert np.array_equal(fewer.expected_hole_violations, plainly.expected_hole_violations)
 
 
 def test_bad_figures_are_refused():

@@ -15,8 +15,12 @@ from scipy.special import expit
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.calibration.ensemble import ALMOST_CERTAINLY_SAFE_P, LOG_ODDS_MARGIN
-from lunarsim.onboard.calibration.gaussian_dem import COUNT, UNCONSTRAINED_FEATURES
+from lunarsim.onboard.calibration.conservative_probability import (
+    ALMOST_CERTAINLY_SAFE_P,
+    LOG_ODDS_MARGIN,
+)
+from lunarsim.onboard.calibration.evidence import UNCONSTRAINED_FEATURES
+from lunarsim.onboard.calibration.gaussian_dem import GAUSSIAN_DEM
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.safety import SafetyMap
 from lunarsim.scenario import Scenario
@@ -118,7 +122,7 @@ def test_held_out_rows_are_evaluated_by_a_fit_without_them(script, monkeypatch):
     deck = list(study.sample_matrix(24, 2))
 
     def judged(scene):
-        x = rng.uniform(0.0, 1.0, (60, COUNT)).astype(np.float32)
+        x = rng.uniform(0.0, 1.0, (60, GAUSSIAN_DEM.count)).astype(np.float32)
         x[:, 0] = 1.0
         safe = rng.random(60) < 1.0 / (1.0 + np.exp(-(8.0 * x[:, UNCONSTRAINED_FEATURES] - 4.0)))
         ones = np.ones(60)
@@ -138,7 +142,9 @@ def test_held_out_rows_are_evaluated_by_a_fit_without_them(script, monkeypatch):
     model = study.fit_model(others)
     assert name not in model.without
     assert set(model.without) == {r for r, _, _ in rows if r.startswith("relief")} - {name}
-    plain, _ = study.predict_safety(model, sites, LOG_ODDS_MARGIN)
+    plain, _ = study.predict_safety(
+        model, sites, replace(GAUSSIAN_DEM, outside_margin=LOG_ODDS_MARGIN)
+    )
     assert study.calibration_metrics(plain, sites.safe)["skill"] > 0.0
     p, claimed = study.predict_safety(model, sites)
     assert (p <= plain).all()

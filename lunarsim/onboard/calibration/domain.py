@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
+from lunarsim.onboard.calibration.evidence import CalibrationEvidence
 from lunarsim.typing import BoolArray
 
 # Quantile of the fit's sites that limits quantities without a natural limit.
@@ -79,6 +80,15 @@ class CalibrationDomain:
             for v in (noise, spacing)
         ]
         return cls(max(h, _MIN_HAZARDS_LIMIT), max(t, _MIN_TILTING_LIMIT), *ranges)
+
+    def contains(self, evidence: CalibrationEvidence) -> BoolArray:
+        """Return which sites of a map are observed and in the domain, in the map's shape."""
+        e = evidence
+        return np.asarray(
+            e.observed
+            & self.is_within_measurements(e.noise_ratio, e.spacing_ratio)
+            & self.is_within_counts(e.expected_hazards, e.expected_tilt_violations)
+        )
 
     def is_within_measurements(self, noise: ArrayLike, spacing: ArrayLike) -> BoolArray:
         """Return whether relative noise and spacing (...) are in the range of the fit.

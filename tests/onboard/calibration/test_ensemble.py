@@ -11,19 +11,18 @@ from hypothesis import strategies as st
 from scipy.special import expit
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.calibration import quadtree
-from lunarsim.onboard.calibration.ensemble import (
+from lunarsim.onboard.calibration.conservative_probability import (
     ALMOST_CERTAINLY_SAFE_P,
     ALMOST_CERTAINLY_UNSAFE_P,
     LOG_ODDS_MARGIN,
     MAX_CLAIM_DEFICIT,
-    Ensemble,
-    LogOddsBounds,
     conservative_probability,
 )
-from lunarsim.onboard.calibration.gaussian_dem import NEAR_DOMAIN_LOG_ODDS_MARGIN
+from lunarsim.onboard.calibration.ensemble import Ensemble, LogOddsBounds
+from lunarsim.onboard.calibration.gaussian_dem import GAUSSIAN_DEM
 from lunarsim.onboard.calibration.logistic import Logistic
 from lunarsim.onboard.calibration.monotone_splines import MonotoneSplineTerm, spline_features
+from lunarsim.onboard.calibration.quadtree import QUADTREE
 
 
 @given(st.integers(0, 10_000), st.integers(1, 5), st.booleans())
@@ -98,7 +97,7 @@ def test_the_floor_is_what_a_world_of_750_sites_may_hide():
     even = LogOddsBounds(np.zeros(1), np.zeros(1)).estimate(np.ones(1)).p
     assert even == pytest.approx((1.0 - MAX_CLAIM_DEFICIT) / 3.0)
     near = conservative_probability(
-        np.zeros(1), np.ones(1), np.ones(1), np.zeros(1, bool), NEAR_DOMAIN_LOG_ODDS_MARGIN
+        np.zeros(1), np.ones(1), np.ones(1), np.zeros(1, bool), GAUSSIAN_DEM.outside_margin
     )
     assert near == pytest.approx(ALMOST_CERTAINLY_SAFE_P * (1.0 - MAX_CLAIM_DEFICIT) / 13.0)
 
@@ -131,11 +130,11 @@ def test_what_one_world_decides_is_not_agreed_on():
 
 
 def test_files_are_checked(tmp_path):
-    model = quadtree.packaged_ensemble()
+    model = QUADTREE.packaged
     model.save(tmp_path / "m.json")
-    assert Ensemble.load(tmp_path / "m.json", quadtree.COUNT) == model
-    assert Ensemble.load(tmp_path / "m.json", quadtree.COUNT).digest == model.digest
-    row = [0.0] * quadtree.COUNT
+    assert Ensemble.load(tmp_path / "m.json", QUADTREE.count) == model
+    assert Ensemble.load(tmp_path / "m.json", QUADTREE.count).digest == model.digest
+    row = [0.0] * QUADTREE.count
     for wrong in (
         "", "{}", "[]", "1", '{"weights": [1, 2]}', '{"weights": "x"}', '{"weights": []}',
         *(file_of(row, [*row[1:], w]) for w in ("a", float("nan"), 1e308, True, -0.1)),
@@ -144,13 +143,13 @@ def test_files_are_checked(tmp_path):
     ):  # fmt: skip
         (tmp_path / "bad.json").write_text(wrong)
         with pytest.raises(InputError, match="calibration"):
-            Ensemble.load(tmp_path / "bad.json", quadtree.COUNT, quadtree.MONOTONE_FEATURES)
+            Ensemble.load(tmp_path / "bad.json", QUADTREE.count, QUADTREE.monotone_count)
     (tmp_path / "bad.json").write_bytes(b"\xff\xfe\x00")
     for name in ("bad.json", "missing.json"):
         with pytest.raises(InputError, match="calibration"):
-            Ensemble.load(tmp_path / name, quadtree.COUNT)
+            Ensemble.load(tmp_path / name, QUADTREE.count)
     (tmp_path / "good.json").write_text(file_of(row, row))
-    Ensemble.load(tmp_path / "good.json", quadtree.COUNT, quadtree.MONOTONE_FEATURES)
+    Ensemble.load(tmp_path / "good.json", QUADTREE.count, QUADTREE.monotone_count)
 
 
 def file_of(*weights, without=None):

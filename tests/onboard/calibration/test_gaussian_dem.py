@@ -12,28 +12,16 @@ from scipy.special import expit
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.onboard.calibration.domain import CalibrationDomain
-from lunarsim.onboard.calibration.ensemble import (
+from lunarsim.onboard.calibration.calibrated_safety import calibrated_safety
+from lunarsim.onboard.calibration.conservative_probability import (
     ALMOST_CERTAINLY_SAFE_P,
     LOG_ODDS_MARGIN,
     MAX_CLAIM_DEFICIT,
-    Ensemble,
 )
-from lunarsim.onboard.calibration.gaussian_dem import (
-    COUNT,
-    MAX_P_UNCOUNTED_ROCKS,
-    MOST_HAZARDS,
-    MOST_SINKING,
-    NEAR_DOMAIN_LOG_ODDS_MARGIN,
-    UNCONSTRAINED_FEATURES,
-    UNKNOWN_MODEL_WEIGHT,
-    calibrated_safety,
-    in_domain,
-    observed_terrain_bound,
-    outside_domain_bound,
-    p_no_rock_under_pads,
-    packaged_ensemble,
-)
+from lunarsim.onboard.calibration.domain import CalibrationDomain
+from lunarsim.onboard.calibration.ensemble import Ensemble
+from lunarsim.onboard.calibration.evidence import MAX_P_UNCOUNTED_ROCKS, UNCONSTRAINED_FEATURES
+from lunarsim.onboard.calibration.gaussian_dem import GAUSSIAN_DEM, UNKNOWN_MODEL_WEIGHT
 from lunarsim.rocks.size_distribution import golombek_number
 from lunarsim.safety.rock_effects import tilt_limit_rock_height
 from lunarsim.safety.unseen_rocks import (
@@ -50,7 +38,7 @@ weights = st.integers(0, 10_000).map(
             (
                 *np.random.default_rng([seed, fit]).normal(0.0, 1.0, UNCONSTRAINED_FEATURES),
                 *np.random.default_rng([seed, fit, 1]).exponential(
-                    0.4, COUNT - UNCONSTRAINED_FEATURES
+                    0.4, GAUSSIAN_DEM.count - UNCONSTRAINED_FEATURES
                 ),
             )
             for fit in range(3)
@@ -104,7 +92,7 @@ def test_terrain_with_taller_rocks_is_never_called_safer(model, seed, times, den
 
 
 def test_the_packaged_weights_do_not_fall_and_say_where_they_come_from():
-    model = packaged_ensemble()
+    model = GAUSSIAN_DEM.packaged
     assert min(w for fit in model.weights for w in fit[UNCONSTRAINED_FEATURES:]) >= 0.0
     assert len(model.without) == len(model.weights) - 1 > 20
     assert "scenarios/lidar_maps/calibration.py" in model.note
@@ -119,29 +107,29 @@ def test_the_packaged_weights_do_not_fall_and_say_where_they_come_from():
 
 def test_outside_the_domain_it_is_a_bound_and_the_map_says_so():
     sparse = evidence(slope=0.1, rough=0.1, level=3.0, planes=6.0, density=0.01)
-    assert (sparse.expected_hazards() > 30.0 * MOST_HAZARDS).all()
+    assert (sparse.expected_hazards > 30.0 * GAUSSIAN_DEM.limits.hazards).all()
     p, known = calibrated_safety(sparse)
     assert not known.any()
-    none = np.exp(-sparse.expected_roughness_violations())
-    assert (outside_domain_bound(sparse) == np.minimum(sparse.level.p_safe, none)).all()
+    none = np.exp(-sparse.expected_roughness_violations)
+    assert (sparse.outside_domain_bound() == np.minimum(sparse.level.p_safe, none)).all()
     assert (p <= np.minimum(sparse.level.p_safe, none) + 1e-6).all()
     # A noise or a spacing that no scan of the fit had.
     for odd in (replace(sparse, density=sparse.density * 100, noise=1.0),
                 replace(sparse, density=sparse.density * 100, spacing=9.0)):  # fmt: skip
-        assert not in_domain(odd).any()
+        assert not odd.in_domain.any()
 
 
 def fits_of(*odds):
     """Return fits that say the same of all sites."""
-    return Ensemble(tuple((o, *[0.0] * (COUNT - 1)) for o in odds))
+    return Ensemble(tuple((o, *[0.0] * (GAUSSIAN_DEM.count - 1)) for o in odds))
 
 
 def test_where_fits_differ_the_lowest_counts_and_is_no_frequency():
     e = evidence(slope=0.1, rough=0.1, level=6.0, planes=6.0, curve=rocky(0.01))
-    assert in_domain(e).all()
+    assert e.in_domain.all()
     sure, doubtful = (
         (1.0 - MAX_CLAIM_DEFICIT) * expit(4.0 - LOG_ODDS_MARGIN),
-        (1.0 - MAX_CLAIM_DEFICIT) * expit(2.0 - NEAR_DOMAIN_LOG_ODDS_MARGIN),
+        (1.0 - MAX_CLAIM_DEFICIT) * expit(2.0 - GAUSSIAN_DEM.outside_margin),
     )
     for odds, claims, wanted in (
         (
@@ -160,19 +148,19 @@ def test_where_fits_differ_the_lowest_counts_and_is_no_frequency():
 def test_uncertain_safety_is_reported_lower_and_at_most_the_bound_far_away():
     e = evidence(slope=0.1, rough=0.1, level=-1.0, planes=6.0, curve=rocky(0.01))
     far = evidence(slope=0.1, rough=0.1, level=-1.0, planes=6.0, density=0.01)
-    assert (outside_domain_bound(e) == 1.0).all()
-    assert (outside_domain_bound(far) < 0.1).all()
+    assert (e.outside_domain_bound() == 1.0).all()
+    assert (far.outside_domain_bound() < 0.1).all()
     for odds in (-1.0, 0.5, 3.5):
         for site in (e, far):
             p, known = calibrated_safety(site, fits_of(odds, odds))
             told = np.minimum(
-                (1.0 - MAX_CLAIM_DEFICIT) * expit(odds - NEAR_DOMAIN_LOG_ODDS_MARGIN),
-                outside_domain_bound(site),
+                (1.0 - MAX_CLAIM_DEFICIT) * expit(odds - GAUSSIAN_DEM.outside_margin),
+                site.outside_domain_bound(),
             )
             bounded = np.min(
-                [told, observed_terrain_bound(site), p_no_rock_under_pads(site)], axis=0
+                [told, site.observed_terrain_bound(), site.p_no_rock_under_pads()], axis=0
             )
-            fits = np.minimum(expit(odds), observed_terrain_bound(site))
+            fits = np.minimum(expit(odds), site.observed_terrain_bound())
             wanted = ALMOST_CERTAINLY_SAFE_P * (
                 (1.0 - UNKNOWN_MODEL_WEIGHT) * bounded + UNKNOWN_MODEL_WEIGHT * fits
             )
@@ -188,7 +176,7 @@ def test_among_sites_all_but_hopeless_the_best_is_reported():
     """Rocks by the thousand may stand unseen, so nothing is left; slopes are known all the same."""
     slope = np.repeat(np.linspace(0.1, 2.5, SIDE)[:, None], SIDE, axis=1)
     e = evidence(slope=slope, rough=0.1, level=-8.0, planes=1.0 - slope, density=1e-4)
-    assert (outside_domain_bound(e) < 1e-12).all()
+    assert (e.outside_domain_bound() < 1e-12).all()
     p, known = calibrated_safety(e)
     assert not known.any()
     assert (p <= UNKNOWN_MODEL_WEIGHT).all()
@@ -199,13 +187,13 @@ def test_among_sites_all_but_hopeless_the_best_is_reported():
 def test_what_was_seen_to_be_steep_is_left_no_chance_by_doubt():
     steep = evidence(slope=2.0, rough=0.1, level=-8.0, planes=-7.0, density=1e-4)
     p, _ = calibrated_safety(steep, fits_of(5.0, 5.0))
-    assert (p <= UNKNOWN_MODEL_WEIGHT * observed_terrain_bound(steep)).all()
+    assert (p <= UNKNOWN_MODEL_WEIGHT * steep.observed_terrain_bound()).all()
     assert (p > 0.0).all()
 
 
 def test_the_domain_ends_where_samples_grow_sparse():
     density = np.repeat(np.geomspace(200.0, 0.5, SIDE)[:, None], SIDE, axis=1)
-    known = in_domain(evidence(slope=0.1, rough=0.1, density=density))
+    known = evidence(slope=0.1, rough=0.1, density=density).in_domain
     assert known[0].all()
     assert not known[-1].any()
     assert (np.diff(known.astype(int), axis=0) <= 0).all()
@@ -213,16 +201,18 @@ def test_the_domain_ends_where_samples_grow_sparse():
 
 def test_the_domain_ends_where_holes_may_gape_or_the_lander_is_another():
     good = {"slope": 0.1, "rough": 0.1, "curve": rocky(0.01)}
-    assert in_domain(evidence(**good)).all()
-    assert not in_domain(evidence(**good, holes=rocky(30.0))).any()
-    assert (evidence(**good, holes=rocky(30.0)).expected_hole_violations() > MOST_SINKING).all()
+    assert evidence(**good).in_domain.all()
+    assert not evidence(**good, holes=rocky(30.0)).in_domain.any()
+    assert (
+        evidence(**good, holes=rocky(30.0)).expected_hole_violations > GAUSSIAN_DEM.limits.holes
+    ).all()
     for degrees, inside in ((3.0, False), (5.0, True), (20.0, True), (25.0, False)):
         other = replace(LANDER, slope_limit=np.deg2rad(degrees))
         e = replace(evidence(**good), lander=other)
-        assert in_domain(e).all() == inside
+        assert e.in_domain.all() == inside
         # A scenario's own has seen its own lander, and its own holes.
         own = CalibrationDomain(1.0, 1.0, (0.0, 1.0), (0.0, 1.0))
-        assert in_domain(replace(evidence(**good, holes=rocky(30.0)), lander=other), own).all()
+        assert own.contains(replace(evidence(**good, holes=rocky(30.0)), lander=other)).all()
 
 
 def test_nothing_exceeds_what_the_planes_leave_of_slope_or_roughness():
@@ -230,7 +220,7 @@ def test_nothing_exceeds_what_the_planes_leave_of_slope_or_roughness():
     for name in ("p_slope", "p_roughness"):
         some = np.full(e.level.grid.shape, 0.01, np.float32)
         doubtful = replace(e, planes=replace(e.planes, **{name: some}))
-        assert observed_terrain_bound(doubtful) == pytest.approx(0.04, rel=1e-5)
+        assert doubtful.observed_terrain_bound() == pytest.approx(0.04, rel=1e-5)
         assert (calibrated_safety(doubtful)[0] <= 0.0401).all()
 
 
@@ -250,9 +240,9 @@ def test_on_a_slope_it_is_at_most_the_chance_that_no_unseen_rock_lies_under_a_pa
     expected = [1e-4, 0.01, 0.1]
     for tilting in expected:
         e = evidence(**good, slope=0.9)
-        share = e.curve.share * tilting / e.expected_tilt_violations().max()
+        share = e.curve.share * tilting / e.expected_tilt_violations.max()
         e = replace(e, curve=ExceedanceCurve(e.curve.height, share))
-        assert e.expected_tilt_violations() == pytest.approx(tilting, rel=1e-6)
+        assert e.expected_tilt_violations == pytest.approx(tilting, rel=1e-6)
         p, claimed = calibrated_safety(e, fits_of(9.0))
         most = np.exp(-2.0 * tilting)
         assert p == pytest.approx(

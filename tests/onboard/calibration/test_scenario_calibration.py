@@ -14,25 +14,14 @@ from scipy.special import expit
 
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.calibration.domain import CalibrationDomain
-from lunarsim.onboard.calibration.ensemble import (
+from lunarsim.onboard.calibration.calibrated_safety import calibrated_safety, site_probability
+from lunarsim.onboard.calibration.conservative_probability import (
     ALMOST_CERTAINLY_SAFE_P,
     MAX_CLAIM_DEFICIT,
-    Ensemble,
 )
-from lunarsim.onboard.calibration.gaussian_dem import (
-    COUNT,
-    NEAR_DOMAIN_LOG_ODDS_MARGIN,
-    UNKNOWN_MODEL_WEIGHT,
-    calibrated_safety,
-    features,
-    in_domain,
-    observed_terrain_bound,
-    outside_domain_bound,
-    p_no_rock_under_pads,
-    packaged_ensemble,
-    site_probability,
-)
+from lunarsim.onboard.calibration.domain import CalibrationDomain
+from lunarsim.onboard.calibration.ensemble import Ensemble
+from lunarsim.onboard.calibration.gaussian_dem import GAUSSIAN_DEM, UNKNOWN_MODEL_WEIGHT
 from lunarsim.onboard.calibration.scenario_calibration import (
     CalibrationStage,
     ScenarioCalibration,
@@ -40,6 +29,7 @@ from lunarsim.onboard.calibration.scenario_calibration import (
 )
 from tests.map_evidence import LANDER, evidence, rocky
 
+PACKAGED = GAUSSIAN_DEM.packaged
 WIDE = CalibrationDomain(0.5, 1e6, (0.0, 1.0), (0.0, 1.0))
 
 
@@ -49,7 +39,7 @@ def refit(inside=(0.3, 0.8), outside=(-0.5, 0.6), domain=WIDE, **more) -> Scenar
         "outside": CalibrationStage(*outside),
         "domain": domain,
     }
-    figures |= {"lander": lander_safety_params(LANDER), "regression": packaged_ensemble().digest}
+    figures |= {"lander": lander_safety_params(LANDER), "regression": PACKAGED.digest}
     return ScenarioCalibration(**figures | more)
 
 
@@ -92,15 +82,15 @@ def test_worse_terrain_is_never_called_safer(
 
 def test_each_side_of_the_packaged_domain_has_its_stage():
     near, far = evidence(slope=0.2), evidence(slope=0.2, density=3.0)
-    assert in_domain(near).all()
-    assert not in_domain(far).any()
+    assert near.in_domain.all()
+    assert not far.in_domain.any()
     for e, stages_of in ((near, ((0.3, 0.8),)), (far, ((0.3, 0.8), (-0.5, 0.6)))):
-        z = (features(e, e.observed) @ np.array(packaged_ensemble().weights).T).min(axis=1)
+        z = (e.features(e.observed) @ np.array(PACKAGED.weights).T).min(axis=1)
         z = z.reshape(e.level.grid.shape)
         p, known = calibrated_safety(e, refit=refit())
         assert known.all()
         expected = np.min([expit(a + b * z) for a, b in stages_of], axis=0)
-        assert (expected < observed_terrain_bound(e)).all()
+        assert (expected < e.observed_terrain_bound()).all()
         assert p == pytest.approx(expected, rel=1e-5)
     # The lower of both outside, whichever that is.
     p, _ = calibrated_safety(far, refit=refit(outside=(3.0, 1.0)))
@@ -117,7 +107,7 @@ def test_outside_the_domain_of_the_fit_it_is_a_bound():
     ):  # fmt: skip
         p, known = calibrated_safety(e, refit=refit((3.0, 1.0), (3.0, 1.0), narrow))
         assert not known.any(), narrow
-        assert (p <= outside_domain_bound(e) + 1e-6).all()
+        assert (p <= e.outside_domain_bound() + 1e-6).all()
         assert (p <= plain + 1e-6).all()
         # Never above what it says where it knows.
         low, _ = calibrated_safety(e, refit=refit((-40.0, 1.0), (3.0, 1.0), narrow))
@@ -125,7 +115,7 @@ def test_outside_the_domain_of_the_fit_it_is_a_bound():
 
 
 def test_its_domain_is_its_own_whether_the_fits_agree_or_not():
-    rows = np.zeros((2, COUNT))
+    rows = np.zeros((2, GAUSSIAN_DEM.count))
     rows[:, 0] = 1.0, 2.0
     apart = Ensemble(tuple(map(tuple, rows)))
     e = evidence(slope=0.1, rough=0.1, level=6.0, planes=6.0)
@@ -139,7 +129,7 @@ def test_its_domain_is_its_own_whether_the_fits_agree_or_not():
     narrow = replace(WIDE, noise=(0.5, 1.0))
     p, known = calibrated_safety(e, low, refit((20.0, 1.0), domain=narrow, regression=low.digest))
     assert not known.any()
-    bounded = (1.0 - MAX_CLAIM_DEFICIT) * expit(-9.0 - NEAR_DOMAIN_LOG_ODDS_MARGIN)
+    bounded = (1.0 - MAX_CLAIM_DEFICIT) * expit(-9.0 - GAUSSIAN_DEM.outside_margin)
     assert p == pytest.approx(
         ALMOST_CERTAINLY_SAFE_P
         * ((1.0 - UNKNOWN_MODEL_WEIGHT) * bounded + UNKNOWN_MODEL_WEIGHT * expit(-9.0)),
@@ -155,18 +145,18 @@ def test_the_ceiling_holds_after_it():
 
 def test_in_its_domain_rocks_under_the_pads_are_what_its_sites_were():
     e = evidence(slope=0.9, rough=0.1, level=6.0, planes=6.0, density=3.0)
-    assert (p_no_rock_under_pads(e) < 0.1).all()
+    assert (e.p_no_rock_under_pads() < 0.1).all()
     own = refit((3.0, 1.0), (-0.2, 0.3))
     p, known = calibrated_safety(e, refit=own)
     assert known.all()
-    assert (p > 5.0 * p_no_rock_under_pads(e)).all()
+    assert (p > 5.0 * e.p_no_rock_under_pads()).all()
     # Outside of it nobody knows: the chance that there is none holds, in all cases but a few.
     narrow = replace(
-        own, domain=replace(WIDE, tilting=0.5 * float(e.expected_tilt_violations().min()))
+        own, domain=replace(WIDE, tilting=0.5 * float(e.expected_tilt_violations.min()))
     )
     q, known = calibrated_safety(e, refit=narrow)
     assert not known.any()
-    assert (q <= p_no_rock_under_pads(e) + UNKNOWN_MODEL_WEIGHT).all()
+    assert (q <= e.p_no_rock_under_pads() + UNKNOWN_MODEL_WEIGHT).all()
 
 
 def test_worse_evidence_beyond_its_domain_is_reported_no_better_however_low_it_is():
@@ -174,7 +164,7 @@ def test_worse_evidence_beyond_its_domain_is_reported_no_better_however_low_it_i
     for beyond in (-0.1, -2.0, -8.0):
         odds, one = np.array([0.0, beyond]), np.ones(2)
         inside = np.array([True, False])
-        p = site_probability(odds, one, one, np.zeros(2), inside, inside, own)
+        p = site_probability(GAUSSIAN_DEM, odds, one, one, np.zeros(2), inside, inside, own)
         assert 0.0 < p[1] <= p[0]
 
 
@@ -187,11 +177,11 @@ def sites(n=4000, inside=(0.5, 0.7), outside=(-0.6, 0.4), seed=1):
 
 def test_a_fit_finds_both_stages():
     z, safe, known = sites()
-    found = ScenarioCalibration.fit(z, safe, known, WIDE, LANDER, packaged_ensemble())
+    found = ScenarioCalibration.fit(z, safe, known, WIDE, LANDER, PACKAGED)
     assert (found.inside.intercept, found.inside.slope) == pytest.approx((0.5, 0.7), abs=0.12)
     assert (found.outside.intercept, found.outside.slope) == pytest.approx((-0.6, 0.4), abs=0.12)
     # Sites on the wrong side of the odds do not turn the stage round.
-    found = ScenarioCalibration.fit(-z, safe, known, WIDE, LANDER, packaged_ensemble())
+    found = ScenarioCalibration.fit(-z, safe, known, WIDE, LANDER, PACKAGED)
     assert found.inside.slope == found.outside.slope == 0.0
 
 
@@ -199,16 +189,19 @@ def test_a_side_with_too_few_sites_is_left_as_it_is():
     z, safe, known = sites()
     few = known & (np.cumsum(known & ~safe) <= 15)
     found = ScenarioCalibration.fit(
-        z[few | ~known], safe[few | ~known], known[few | ~known], WIDE, LANDER, packaged_ensemble()
+        z[few | ~known],
+        safe[few | ~known],
+        known[few | ~known],
+        WIDE,
+        LANDER,
+        PACKAGED,
     )
     assert found.inside == CalibrationStage(0.0, 1.0)
     assert found.outside != found.inside
-    only = ScenarioCalibration.fit(
-        z[known], safe[known], known[known], WIDE, LANDER, packaged_ensemble()
-    )
+    only = ScenarioCalibration.fit(z[known], safe[known], known[known], WIDE, LANDER, PACKAGED)
     assert only.outside == only.inside != CalibrationStage(0.0, 1.0)
     with pytest.raises(InputError, match="20 or more safe"):
-        ScenarioCalibration.fit(z[safe], safe[safe], known[safe], WIDE, LANDER, packaged_ensemble())
+        ScenarioCalibration.fit(z[safe], safe[safe], known[safe], WIDE, LANDER, PACKAGED)
 
 
 def test_the_domain_is_that_of_nearly_all_sites():
@@ -249,9 +242,9 @@ def test_another_lander_is_refused(change, key, right):
 
 
 def test_another_regression_is_refused():
-    *weights, last = packaged_ensemble().weights
+    *weights, last = PACKAGED.weights
     other = Ensemble((*weights, (*last[:-1], last[-1] + 1e-9)))
-    assert other.digest != packaged_ensemble().digest
+    assert other.digest != PACKAGED.digest
     with pytest.raises(InputError, match=r"calibration\.regression"):
         calibrated_safety(evidence(), other, refit())
 

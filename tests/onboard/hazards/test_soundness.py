@@ -14,22 +14,15 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.calibration.ensemble import (
+from lunarsim.onboard.calibration.calibrated_safety import calibrated_safety
+from lunarsim.onboard.calibration.conservative_probability import (
     ALMOST_CERTAINLY_SAFE_P,
     LOG_ODDS_MARGIN,
     MAX_CLAIM_DEFICIT,
-    Ensemble,
 )
-from lunarsim.onboard.calibration.quadtree import (
-    COUNT,
-    MAX_EXPECTED_HAZARDS,
-    MAX_EXPECTED_HOLES,
-    MAX_NOISE_RATIO,
-    UNCONSTRAINED_FEATURES,
-    SiteEvidence,
-    packaged_ensemble,
-    site_safety,
-)
+from lunarsim.onboard.calibration.ensemble import Ensemble
+from lunarsim.onboard.calibration.evidence import UNCONSTRAINED_FEATURES
+from lunarsim.onboard.calibration.quadtree import MAX_NOISE_RATIO, QUADTREE, SiteEvidence
 from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper
 from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
 from lunarsim.onboard.hazards.quadtree.site_evidence import quadtree_site_evidence
@@ -218,7 +211,7 @@ weights = st.integers(0, 10_000).map(
             (
                 *np.random.default_rng([seed, fit]).normal(0.0, 1.0, UNCONSTRAINED_FEATURES),
                 *np.random.default_rng([seed, fit, 1]).exponential(
-                    0.5, COUNT - UNCONSTRAINED_FEATURES
+                    0.5, QUADTREE.count - UNCONSTRAINED_FEATURES
                 ),
             )
             for fit in range(3)
@@ -266,10 +259,12 @@ def test_worse_sites_are_never_called_safer(model, slope, rough, ratio, rocks, w
         "mesh_spread": 0.4 * rough, "fitted_spread": 0.3 * rough, "footprint_relief": 0.8 * rough,
         "relief": rough, "ratio": ratio, "footprint_ratio": 0.5 * ratio,
     }  # fmt: skip
-    p = site_safety(site(rocks, **here), model)[0][0]
+    p = calibrated_safety(site(rocks, **here), model)[0][0]
     for name, value in here.items():
-        assert site_safety(site(rocks, **here | {name: value + worse}), model)[0][0] <= p, name
-    assert site_safety(site(rocks * (1.0 + worse), **here), model)[0][0] <= p + 1e-12
+        assert calibrated_safety(site(rocks, **here | {name: value + worse}), model)[0][0] <= p, (
+            name
+        )
+    assert calibrated_safety(site(rocks * (1.0 + worse), **here), model)[0][0] <= p + 1e-12
 
 
 @given(
@@ -286,7 +281,9 @@ def test_sites_among_taller_rocks_are_never_called_safer(model, seed, times, slo
     worse[: int(rng.integers(1, count + 1))] *= times
     own = {"slope": slope, "mesh_slope": slope, "fitted_slope": slope, "min_density": density}
     p = [
-        site_safety(site_among(height_curve(*said), depth_curve(*said), 0.02, **own), model)[0][0]
+        calibrated_safety(site_among(height_curve(*said), depth_curve(*said), 0.02, **own), model)[
+            0
+        ][0]
         for said in ((r, 0.02, 0.25, 0.05) for r in (residual_heights, worse))
     ]
     assert p[1] <= p[0] + 1e-12
@@ -294,18 +291,18 @@ def test_sites_among_taller_rocks_are_never_called_safer(model, seed, times, slo
 
 def fits_of(*odds: float) -> Ensemble:
     """Return fits that give the same probability for all sites."""
-    return Ensemble(tuple((o, *[0.0] * (COUNT - 1)) for o in odds))
+    return Ensemble(tuple((o, *[0.0] * (QUADTREE.count - 1)) for o in odds))
 
 
 def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
     for odds, claims in (((2.0, 5.0), False), ((4.0, 5.0), True)):
-        p, known = site_safety(site(0.02), fits_of(*odds))
+        p, known = calibrated_safety(site(0.02), fits_of(*odds))
         left = (1.0 - MAX_CLAIM_DEFICIT) * (1.0 if claims else ALMOST_CERTAINLY_SAFE_P)
         assert p[0] == pytest.approx(left * expit(odds[0] - LOG_ODDS_MARGIN))
         assert known[0] == claims
     doubtful = site(0.16, fitted_slope=0.7)
     assert doubtful.in_domain.all()
-    p, known = site_safety(doubtful, fits_of(2.8, 2.8))
+    p, known = calibrated_safety(doubtful, fits_of(2.8, 2.8))
     assert p == pytest.approx(
         (1.0 - MAX_CLAIM_DEFICIT) * ALMOST_CERTAINLY_SAFE_P * expit(2.8 - LOG_ODDS_MARGIN)
     )
@@ -313,9 +310,9 @@ def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
     # Far from the domain, p is at most the probability of no undetected rock.
     far = site(30.0)
     assert not far.near_domain.any()
-    nothing = np.exp(-far.expected_roughness_violations() - far.expected_tilt_violations())
+    nothing = np.exp(-far.expected_roughness_violations - far.expected_tilt_violations)
     assert nothing < 0.5
-    p, known = site_safety(far, fits_of(2.8, 2.8))
+    p, known = calibrated_safety(far, fits_of(2.8, 2.8))
     assert p == pytest.approx(ALMOST_CERTAINLY_SAFE_P * nothing)
     assert not known.any()
 
@@ -323,7 +320,7 @@ def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
 def test_a_site_is_surely_unsafe_only_where_it_is_so_without_its_holes():
     for odds, doomed, claims in ((-6.0, True, True), (-6.0, False, False), (-3.0, True, False)):
         bad = replace(site(0.02, slope=1.2), may_be_unsafe=np.array([doomed]))
-        p, known = site_safety(bad, fits_of(odds, odds))
+        p, known = calibrated_safety(bad, fits_of(odds, odds))
         assert p[0] <= 0.95 * expit(odds)
         assert known[0] == claims
 
@@ -332,14 +329,14 @@ def test_a_site_is_surely_unsafe_only_where_it_is_so_without_its_holes():
 def test_a_site_of_which_anything_is_unknown_is_not_evaluated(name):
     for value in (np.nan, np.inf):
         own = site(0.02, **{name: value})
-        assert not own.is_evaluated.any()
-        p, known = site_safety(own)
+        assert not own.observed.any()
+        p, known = calibrated_safety(own)
         assert p[0] == 0.0
         assert not known[0]
 
 
 def test_a_site_at_which_anything_fatal_was_seen_is_not_called_safe():
-    assert site_safety(site(0.02))[0][0] > 0.95
+    assert calibrated_safety(site(0.02))[0][0] > 0.95
     fatal = {
         "slope": 1.3,
         "mesh_slope": 1.15,
@@ -348,13 +345,13 @@ def test_a_site_at_which_anything_fatal_was_seen_is_not_called_safe():
         "footprint_relief": 4.0,
     }
     for name, value in fatal.items():
-        assert site_safety(site(0.02, **{name: value}))[0][0] < 0.5, name
+        assert calibrated_safety(site(0.02, **{name: value}))[0][0] < 0.5, name
 
 
 @pytest.mark.parametrize("name", ["slope", "mesh_slope", "fitted_slope"])
 def test_a_site_just_under_the_limit_of_the_slope_is_not_surely_safe(name):
     for share, sure in ((0.88, True), (0.97, False)):
-        p, known = site_safety(site(0.001, **{name: share}), fits_of(6.0))
+        p, known = calibrated_safety(site(0.001, **{name: share}), fits_of(6.0))
         assert (p[0] > 0.95) == sure
         assert known[0] == sure
 
@@ -366,7 +363,7 @@ def test_gravel_matters_to_a_site_where_it_tilts_the_lander_too_far(slope, matte
     for gravel in (1e-9, 0.1):
         low = np.where(height < 0.09, gravel, 1e-9)
         curve = ExceedanceCurve(height, np.full(40, 1e-9), 0.1, low, 0.05)
-        p, known = site_safety(site_among(curve, curve_of(0.01), 0.02, **on), fits_of(6.0))
+        p, known = calibrated_safety(site_among(curve, curve_of(0.01), 0.02, **on), fits_of(6.0))
         assert known[0] == (p[0] > 0.95) == (gravel < 0.01 or not matters)
 
 
@@ -380,22 +377,22 @@ def test_the_domain_ends_where_rocks_may_stand_unseen_or_noise_is_not_that_of_th
     assert not site(20.0).in_domain.any()
     # Few hazards, but at the slope limit any stone tilts the lander too far.
     steep = site(0.2, fitted_slope=0.99)
-    assert steep.hazards()[0] < MAX_EXPECTED_HAZARDS
+    assert steep.expected_hazards[0] < QUADTREE.limits.hazards
     assert not steep.in_domain.any()
     # Undetected holes under the pads, or much terrain that is known to be deep.
     gaping = site_among(curve_of(0.02), curve_of(2.0), 0.02, min_density=1.0)
-    assert gaping.expected_hole_violations()[0] > MAX_EXPECTED_HOLES
+    assert gaping.expected_hole_violations[0] > QUADTREE.limits.holes
     assert not gaping.in_domain.any()
     sunk = site_among(curve_of(0.02), curve_of(3.0), 0.02, min_density=1000.0)
-    assert sunk.expected_hole_violations()[0] < MAX_EXPECTED_HOLES
+    assert sunk.expected_hole_violations[0] < QUADTREE.limits.holes
     assert not sunk.in_domain.any()
     for degrees, inside in ((3.0, False), (5.0, True), (20.0, True), (25.0, False)):
         other = replace(site(0.02), lander=replace(Lander(), slope_limit=np.deg2rad(degrees)))
         assert other.in_domain.all() == inside
     # Outside the domain, p is at most the probability of no undetected rock.
     unknown = site(20.0)
-    nothing = np.exp(-unknown.expected_roughness_violations() - unknown.expected_tilt_violations())
-    assert (site_safety(unknown)[0] <= nothing).all()
+    nothing = np.exp(-unknown.expected_roughness_violations - unknown.expected_tilt_violations)
+    assert (calibrated_safety(unknown)[0] <= nothing).all()
 
 
 def test_what_noise_adds_to_the_highest_point_is_taken_off():
@@ -442,7 +439,7 @@ def test_noise_that_the_points_do_not_have_excuses_nothing():
     )
     assert true.noise <= stated
     assert more.noise < 1.5 * stated
-    p, q = (site_safety(e)[0][true.is_evaluated] for e in (true, more))
+    p, q = (calibrated_safety(e)[0][true.observed] for e in (true, more))
     assert len(p) > 50
     assert (q - p).max() < 0.05
     less = quadtree_site_evidence(*told, 0.1 * stated, Lander(), RockExpectation())
@@ -450,7 +447,7 @@ def test_noise_that_the_points_do_not_have_excuses_nothing():
 
 
 def test_the_packaged_weights_of_the_quadtree_do_not_fall():
-    model = packaged_ensemble()
+    model = QUADTREE.packaged
     assert min(w for fit in model.weights for w in fit[UNCONSTRAINED_FEATURES:]) >= 0.0
     assert len(model.without) == len(model.weights) - 1 > 20
     assert "scenarios/lidar_maps/quadtree_calibration.py" in model.note

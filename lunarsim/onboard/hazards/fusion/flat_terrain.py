@@ -37,7 +37,6 @@ from lunarsim.onboard.calibration.gaussian_dem import (
     NOISE_RATIO_RANGE,
     SPACING_RATIO_RANGE,
     MapEvidence,
-    observed_terrain_bound,
 )
 from lunarsim.onboard.hazards.fusion.resampling import resample_to_grid
 from lunarsim.onboard.hazards.fusion.rock_heights import RockHeights
@@ -84,7 +83,7 @@ def apply_ceiling(site_evidence: MapEvidence, p: Array) -> NDArray[np.float32]:
     site, from which `observed_terrain_bound` computes the limit. The result (rows, cols) is 0 where
     the terrain was not measured and where `p` or the limit is NaN.
     """
-    p = np.minimum(p, observed_terrain_bound(site_evidence))
+    p = np.minimum(p, site_evidence.observed_terrain_bound())
     return np.where(site_evidence.observed & np.isfinite(p), p, 0.0).astype(np.float32)
 
 
@@ -110,9 +109,7 @@ def no_undetected_rock_probability(
     ):
         return np.zeros(site_evidence.level.grid.shape)
     return np.asarray(
-        np.maximum(
-            np.exp(-_UNDETECTED_ROCK_FACTOR * site_evidence.expected_hazards()), p_none_missed
-        )
+        np.maximum(np.exp(-_UNDETECTED_ROCK_FACTOR * site_evidence.expected_hazards), p_none_missed)
     )
 
 

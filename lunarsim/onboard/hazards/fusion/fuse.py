@@ -25,8 +25,12 @@ import numpy as np
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.onboard.calibration.ensemble import ALMOST_CERTAINLY_SAFE_P, ALMOST_CERTAINLY_UNSAFE_P
-from lunarsim.onboard.calibration.gaussian_dem import MapEvidence, calibrated_safety
+from lunarsim.onboard.calibration.calibrated_safety import calibrated_safety
+from lunarsim.onboard.calibration.conservative_probability import (
+    ALMOST_CERTAINLY_SAFE_P,
+    ALMOST_CERTAINLY_UNSAFE_P,
+)
+from lunarsim.onboard.calibration.gaussian_dem import MapEvidence
 from lunarsim.onboard.hazards.fusion.elevation_samples import ElevationSamples
 from lunarsim.onboard.hazards.fusion.flat_terrain import (
     apply_ceiling,

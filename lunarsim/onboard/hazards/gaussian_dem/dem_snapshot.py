@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.calibration.gaussian_dem import MapEvidence, calibrated_safety
+from lunarsim.onboard.calibration.calibrated_safety import calibrated_safety
+from lunarsim.onboard.calibration.gaussian_dem import MapEvidence
 from lunarsim.onboard.calibration.scenario_calibration import ScenarioCalibration
 from lunarsim.onboard.hazards.gaussian_dem.pooled import PooledDem
 from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap

@@ -13,7 +13,7 @@ from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.calibration.gaussian_dem import packaged_ensemble
+from lunarsim.onboard.calibration.gaussian_dem import GAUSSIAN_DEM
 from lunarsim.onboard.calibration.scenario_calibration import ScenarioCalibration
 from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import DemSnapshot
 from lunarsim.onboard.hazards.gaussian_dem.pooled import PooledDem, pooled_dem
@@ -101,7 +101,7 @@ class GaussianDemMapperSettings:
             return None
         try:
             found = ScenarioCalibration.load(self.calibration_path)
-            found.check_regression(packaged_ensemble())
+            found.check_regression(GAUSSIAN_DEM.packaged)
         except InputError as error:
             raise calibration_path_error(self.calibration_path, error) from None
         return found
@@ -164,7 +164,7 @@ class GaussianDemMapper(HazardMapper):
         if refit is not None:
             if safety != "calibrated":
                 raise InputError("safety", safety, "must be 'calibrated' if refit is given")
-            refit.check(lander, packaged_ensemble())
+            refit.check(lander, GAUSSIAN_DEM.packaged)
         self.grid = grid
         self.lander = lander
         self.refit = refit

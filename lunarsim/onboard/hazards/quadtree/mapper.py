@@ -14,8 +14,8 @@ from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.calibration.calibrated_safety import calibrated_safety
 from lunarsim.onboard.calibration.ensemble import Ensemble
-from lunarsim.onboard.calibration.quadtree import site_safety
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
 from lunarsim.onboard.hazards.map_evidence import TerrainEvidence
 from lunarsim.onboard.hazards.mapper import HazardMapper, is_off_centre, map_grid
@@ -102,7 +102,7 @@ class QuadtreeMapper(HazardMapper):
     interest
         Value of a landing at each place to the mission; default: 1 everywhere.
     model
-        Regression weights for `site_safety`; default: the weights supplied with lunarsim.
+        Regression weights for `calibrated_safety`; default: the weights supplied with lunarsim.
     interval
         Minimum time between two site selections in flight, s.
     lander, rocks
@@ -328,7 +328,7 @@ class QuadtreeMapper(HazardMapper):
             self._lander,
             self._rocks,
         )
-        p, known = site_safety(evidence, self._model)
+        p, known = calibrated_safety(evidence, self._model)
         xy, size = selection.position[:, :2], self.map.sizes(selection.nodes)
         eligible = (
             rasterize_cells(g, xy, size, selection.status == SITE_STATUS.index("eligible"), 0.0)
@@ -338,7 +338,7 @@ class QuadtreeMapper(HazardMapper):
         return HazardMap(
             g,
             rasterize_cells(g, xy, size, p, 0.0).astype(np.float32),
-            rasterize_cells(g, xy, size, evidence.is_evaluated, 0.0) > 0.0,
+            rasterize_cells(g, xy, size, evidence.observed, 0.0) > 0.0,
             rasterize_cells(g, xy, size, selection.position[:, 2], np.nan).astype(np.float32),
             eligible=eligible if value is None else eligible & (value > 0.0),
             value=value,

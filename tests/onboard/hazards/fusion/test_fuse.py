@@ -12,9 +12,13 @@ from hypothesis import strategies as st
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
+from lunarsim.onboard.calibration.calibrated_safety import calibrated_safety
+from lunarsim.onboard.calibration.conservative_probability import (
+    ALMOST_CERTAINLY_SAFE_P,
+    ALMOST_CERTAINLY_UNSAFE_P,
+)
 from lunarsim.onboard.calibration.domain import CalibrationDomain
-from lunarsim.onboard.calibration.ensemble import ALMOST_CERTAINLY_SAFE_P, ALMOST_CERTAINLY_UNSAFE_P
-from lunarsim.onboard.calibration.gaussian_dem import calibrated_safety, packaged_ensemble
+from lunarsim.onboard.calibration.gaussian_dem import GAUSSIAN_DEM
 from lunarsim.onboard.calibration.scenario_calibration import (
     CalibrationStage,
     ScenarioCalibration,
@@ -62,7 +66,7 @@ def test_a_map_of_elevations_alone_is_its_own_or_that_of_flat_terrain_if_that_is
     alone = fuse_evidence(own, None, TERMS)
     level = [
         [plain.flat_terrain(0.5, share, unseen, 1.0, 1.0, 0.9) for share, unseen in pairs]
-        for pairs in map(zip, rough, own.site_evidence.expected_hazards())
+        for pairs in map(zip, rough, own.site_evidence.expected_hazards)
     ]
     assert alone.p_safe == pytest.approx(np.maximum(own.hazard_map.p_safe, level), rel=1e-5)
     raised = alone.p_safe > own.hazard_map.p_safe
@@ -87,7 +91,7 @@ def test_what_a_calibration_of_its_own_claims_stays_where_the_other_sensor_saw_n
     refit = ScenarioCalibration(
         CalibrationStage(-3.0), CalibrationStage(-3.0),
         CalibrationDomain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0)),
-        lander_safety_params(LANDER), packaged_ensemble().digest,
+        lander_safety_params(LANDER), GAUSSIAN_DEM.packaged.digest,
     )  # fmt: skip
     judged = evidence(slope=0.7, rough=0.5, density=5.0)
     p, known = calibrated_safety(judged, refit=refit)
@@ -217,7 +221,7 @@ def test_terrain_that_is_level_and_clear_is_no_less_safe_than_that(slope, rough,
         both = fuse_evidence(own, eye, TERMS)
         level = np.array([
             [plain.flat_terrain(slope, rough, unseen, missed, c, 0.9) for unseen, c in cells]
-            for cells in map(zip, judged.expected_hazards(), clear)
+            for cells in map(zip, judged.expected_hazards, clear)
         ])  # fmt: skip
         assert both.p_safe == pytest.approx(np.maximum(level, p), rel=1e-5, abs=1e-9)
         assert not both.in_domain[level > p * (1.0 + 1e-5)].any()

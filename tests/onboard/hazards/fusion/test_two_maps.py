@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from lunarsim.grid import Grid
+from lunarsim.onboard.calibration.calibrated_safety import calibrated_safety
+from lunarsim.onboard.calibration.conservative_probability import ALMOST_CERTAINLY_SAFE_P
 from lunarsim.onboard.calibration.domain import CalibrationDomain
-from lunarsim.onboard.calibration.ensemble import ALMOST_CERTAINLY_SAFE_P
-from lunarsim.onboard.calibration.gaussian_dem import calibrated_safety, packaged_ensemble
+from lunarsim.onboard.calibration.gaussian_dem import GAUSSIAN_DEM
 from lunarsim.onboard.calibration.scenario_calibration import (
     CalibrationStage,
     ScenarioCalibration,
@@ -166,7 +167,7 @@ def own_calibration() -> ScenarioCalibration:
     wide = CalibrationDomain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0))
     figures = lander_safety_params(LANDER)
     return ScenarioCalibration(
-        CalibrationStage(-3.0), CalibrationStage(-3.0), wide, figures, packaged_ensemble().digest
+        CalibrationStage(-3.0), CalibrationStage(-3.0), wide, figures, GAUSSIAN_DEM.packaged.digest
     )
 
 

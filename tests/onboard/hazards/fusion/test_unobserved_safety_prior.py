@@ -8,7 +8,7 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 
-from lunarsim.onboard.calibration.gaussian_dem import calibrated_safety
+from lunarsim.onboard.calibration.calibrated_safety import calibrated_safety
 from lunarsim.onboard.hazards.fusion.flat_terrain import no_undetected_rock_probability
 from lunarsim.onboard.hazards.fusion.fuse import footprint_undetected_ratio, fuse_evidence
 from lunarsim.onboard.hazards.fusion.rock_heights import (
@@ -52,7 +52,7 @@ def test_without_elevations_the_other_sensor_counts_and_is_never_certain():
     own = relief(seen=MEASURED)
     both = fuse_evidence(own, eyes(0.1), TERMS)
     assert both.observed.all()
-    free = np.exp(-10.0 * thinned_by(own, eyes(0.1)).expected_hazards())
+    free = np.exp(-10.0 * thinned_by(own, eyes(0.1)).expected_hazards)
     prior = beside(zip(both.p_safe[MEASURED].tolist(), free[MEASURED].tolist(), strict=True))
     assert 0.8999 < prior < 0.9
     assert both.p_safe[:, 6:] == pytest.approx(prior * 0.97)
@@ -69,7 +69,7 @@ def test_terrain_that_was_not_measured_is_as_likely_fit_as_what_was(steep, what)
     share[:steep] = 1.3
     own = relief(seen=MEASURED, **{what: share})
     both = fuse_evidence(own, eyes(0.1), TERMS)
-    free = np.exp(-10.0 * thinned_by(own, eyes(0.1)).expected_hazards())
+    free = np.exp(-10.0 * thinned_by(own, eyes(0.1)).expected_hazards)
     prior = beside(zip(both.p_safe[MEASURED].tolist(), free[MEASURED].tolist(), strict=True))
     assert both.p_safe[:, 6:] == pytest.approx(prior * 0.97, rel=1e-5)
 
@@ -87,7 +87,7 @@ def test_flat_terrain_counts_for_what_was_not_measured_and_tracked_rocks_do_not(
     p, _ = calibrated_safety(thinned)
     flat = level_map(thinned, 0.9, 0.8)
     assert (flat > p)[MEASURED].all()
-    free = np.maximum(np.exp(-10.0 * thinned.expected_hazards()), 0.8)
+    free = np.maximum(np.exp(-10.0 * thinned.expected_hazards), 0.8)
     assert (free[MEASURED] == 0.8).any()
     assert (free[MEASURED] > 0.8).any()
     prior = beside(zip(flat[MEASURED].tolist(), free[MEASURED].tolist(), strict=True))

@@ -12,8 +12,9 @@ from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.calibration.calibrated_safety import calibrated_safety
 from lunarsim.onboard.calibration.domain import CalibrationDomain
-from lunarsim.onboard.calibration.gaussian_dem import calibrated_safety, packaged_ensemble
+from lunarsim.onboard.calibration.gaussian_dem import GAUSSIAN_DEM
 from lunarsim.onboard.calibration.scenario_calibration import (
     CalibrationStage,
     ScenarioCalibration,
@@ -102,7 +103,7 @@ def test_it_publishes_what_its_map_follows_from():
     refit = ScenarioCalibration(
         CalibrationStage(-3.0), CalibrationStage(-3.0),
         CalibrationDomain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0)),
-        lander_safety_params(Lander()), packaged_ensemble().digest,
+        lander_safety_params(Lander()), GAUSSIAN_DEM.packaged.digest,
     )  # fmt: skip
     mapper = GaussianDemMapper(GRID, Lander(), refit=refit)
     flash(mapper)
