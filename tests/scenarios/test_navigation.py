@@ -103,26 +103,28 @@ def test_check_exits_with_1_if_errors_are_inconsistent(script, capsys):
 
 
 @pytest.mark.slow
-def test_flights_with_faults_are_written_and_summed(script, tmp_path, monkeypatch):
-    faults, out = script("navigation", "faults"), tmp_path / "faults.json"
-    monkeypatch.setattr(faults, "RELIEFS", (4.0,))
+def test_flights_with_faults_are_written_and_summed(script, tmp_path, monkeypatch, capsys):
+    faults, out = script("navigation", "faults"), tmp_path / "faults"
     # Smaller terrain, smaller initial error and a shorter descent.
     Scenario.load(SCENARIOS / "instruments.toml").changed(
         terrain={"size_m": 300.0}, initial_uncertainty={"position_m": 5.0},
         start={"position_m": [-300.0, 0.0, 250.0], "velocity_m_s": [18.0, 0.0, -12.0]},
     ).save(tmp_path / "instruments.toml")  # fmt: skip
     monkeypatch.setattr(faults, "SCENARIOS", tmp_path)
-    words = ["--flights", 1, "--only", "none", "--only", "velocimeter dead", "--json", out]
-    assert "velocimeter dead" in run(faults.main, *words)
-    flown = json.loads(out.read_text())
-    assert [f["row"] for f in flown] == ["none", "velocimeter dead"]
-    more = tmp_path / "rocks.json"
+    levels = {"fault": ["none", "velocimeter dead"], "relief": [4.0]}
+    rows = run_study(faults.study, count=1, levels=levels, out=out)
+    report_study(faults.study, rows)
+    assert "velocimeter dead" in capsys.readouterr().out
+    flown = json.loads((out / "results.json").read_text())["rows"]
+    assert [f["fault"] for f in flown] == ["none", "velocimeter dead"]
+    more = tmp_path / "rocks"
     wrong = [
-        {"row": "none", "far": 0, "lost": 1, "inflated": 0, "safe": 1},
-        {"row": "Sun 45 deg off", "far": 1, "lost": 1, "inflated": 0, "safe": 0},
-        {"row": "Sun 45 deg off", "far": 1, "lost": 0, "inflated": 0, "safe": 0},
+        {"fault": "none", "far": 0, "lost": 1, "inflated": 0, "safe": 1},
+        {"fault": "Sun 45 deg off", "far": 1, "lost": 1, "inflated": 0, "safe": 0},
+        {"fault": "Sun 45 deg off", "far": 1, "lost": 0, "inflated": 0, "safe": 0},
     ]
-    more.write_text(json.dumps(wrong))
+    more.mkdir()
+    (more / "results.json").write_text(json.dumps({"rows": wrong}))
     text = run(script("navigation", "undeclared_failures").main, out, more)
     lines = [line.split("│") for line in text.splitlines() if line.startswith("│")]
     cells = {line[1].strip(): [cell.split(" [")[0].strip() for cell in line[2:5]] for line in lines}
