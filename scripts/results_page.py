@@ -215,9 +215,9 @@ def guidance(results: dict[str, Any]) -> list[SeedMetric]:
     return out
 
 
-def navigation(results: dict[str, list[dict[str, Any]]]) -> list[SeedMetric]:
+def navigation(results: dict[str, Any]) -> list[SeedMetric]:
     """Extract filter consistency (NEES, NIS), position errors and landing outcomes."""
-    (flights,) = results.values()
+    flights = results["rows"]
     out = [
         SeedMetric(f"NEES / degrees of freedom, {part} (ideal 1)", "",
                _finite([f["nees"][part] for f in flights]))

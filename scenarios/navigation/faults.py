@@ -12,23 +12,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
-from consistency import SCENARIOS, error_of
-from shared_options import declared_table, json_option, seed_and_jobs, write_flights
+from navigation_errors import SCENARIOS, error_of
+from undeclared_failures import declared_table
 
 from lunarsim import Scenario, Simulation, flight_seed
 from lunarsim.api import AltimeterReading, InertialSamples
-from lunarsim.campaign.pool import collect_results
-from lunarsim.console import plain_console
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import AttitudeReading, DopplerReading
 from lunarsim.models.instruments import InertialInstrument
 from lunarsim.onboard.navigation.imu_outlier_rejection import ImuSampleLimits
+from lunarsim.studies import Case, Report, Study, run_script
 
 RELIEFS = (0.1, 4.0, 8.0)  # RMS slope, deg
 FAULT_START_S = 10.0  # start of the fault, s
@@ -169,41 +166,6 @@ FAULTS: dict[str, Tamper] = {
 }
 
 
-@dataclass(frozen=True)
-class InstrumentFaultTask:
-    """Settings of one simulated flight with an instrument fault.
-
-    `fault` is a name in `FAULTS`, `relief` the RMS slope of the terrain (deg). `flight` and `seed`
-    (root seed) determine the random numbers.
-    """
-
-    fault: str
-    relief: float
-    flight: int
-    seed: int
-
-
-@dataclass(frozen=True)
-class InstrumentFaultFlight:
-    """Results of one simulated flight with an instrument fault.
-
-    Attributes
-    ----------
-    far
-        Whether the velocity or attitude error exceeded five standard deviations at the end.
-    lost, inflated
-        Whether navigation declared itself lost at the end; number of `covariance-inflated` events.
-    safe
-        Whether the landing was safe.
-    """
-
-    fault: str
-    far: bool
-    lost: bool
-    inflated: int
-    safe: bool
-
-
 def imu_limits_of(briefing: Briefing) -> ImuSampleLimits:
     """Return the limits beyond which inertial samples of a vehicle are rejected.
 
@@ -217,21 +179,25 @@ def imu_limits_of(briefing: Briefing) -> ImuSampleLimits:
     )  # fmt: skip
 
 
-def fly(task: InstrumentFaultTask) -> InstrumentFaultFlight:
-    """Simulate one flight in which an instrument fails."""
-    scenario = Scenario.load(SCENARIOS / "instruments.toml").changed(
-        terrain={"rms_slope_deg": task.relief}
-    )
-    simulation = Simulation(scenario, flight_seed(task.seed, task.flight), "safest")
-    navigation = simulation.computer.navigation
-    rng = np.random.default_rng([task.seed, task.flight])
-    take_unchanged = navigation.take
+def fly(case: Case) -> dict[str, Any]:
+    """Simulate one flight in which an instrument fails.
 
+    The row has whether the velocity or attitude error exceeded five standard deviations at the end
+    (`far`), whether navigation declared itself lost at the end, the number of
+    `covariance-inflated` events, and whether the landing was safe.
+    """
+    scenario = Scenario.load(SCENARIOS / "instruments.toml").changed(
+        terrain={"rms_slope_deg": case["relief"]}
+    )
+    simulation = Simulation(scenario, flight_seed(case.seed, case.number), "safest")
+    navigation = simulation.computer.navigation
+    rng = np.random.default_rng([case.seed, case.number])
+    take_unchanged = navigation.take
     limits = imu_limits_of(simulation.briefing)
 
     def take_faulty(sensor: str, measurement: Any, time: float) -> None:
         if time >= FAULT_START_S:
-            measurement = FAULTS[task.fault](
+            measurement = FAULTS[case["fault"]](
                 measurement, FaultState(time - FAULT_START_S, limits, rng)
             )
         take_unchanged(sensor, measurement, time)
@@ -244,41 +210,27 @@ def fly(task: InstrumentFaultTask) -> InstrumentFaultFlight:
         far, lost = bool((error > MAX_ERROR_SIGMA * sigma).any()), simulation.computer.estimate.lost
         simulation.step()
     names = [name for _, name, _ in simulation.computer.telemetry]
-    return InstrumentFaultFlight(
-        task.fault, far, lost, names.count("covariance-inflated"), simulation.outcome.safe
-    )
+    return {
+        "far": far, "lost": lost, "inflated": names.count("covariance-inflated"),
+        "safe": simulation.outcome.safe,
+    }  # fmt: skip
 
 
-@click.command()
-@click.option(
-    "--flights",
-    type=click.IntRange(min=1),
-    default=4,
-    show_default=True,
-    help="Number of flights for each combination of terrain slope and fault.",
-)
-@click.option(
-    "--only",
-    type=click.Choice(list(FAULTS)),
-    multiple=True,
-    help="Name of a fault to simulate; repeat the option for several faults (default: all).",
-)
-@json_option
-@seed_and_jobs
-def main(flights: int, only: tuple[str, ...], out: Path | None, seed: int, jobs: int) -> None:
-    """Fly with instrument faults; count undeclared navigation failures."""
-    console = plain_console(120)
-    faults = list(only or FAULTS)
-    tasks = [
-        InstrumentFaultTask(fault, relief, n, seed)
-        for fault in faults for relief in RELIEFS for n in range(flights)
-    ]  # fmt: skip
-    flown = collect_results(fly, tasks, jobs, console, "flights")
-    rows = [(fault, [f for f in flown if f.fault == fault]) for fault in faults]
+def print_declared(report: Report) -> None:
+    """Print the number of large errors and of declared failures by fault."""
+    groups = [(fault, rows) for (fault,), rows in report.groups("fault").items()]
     title = "Flights with an instrument fault; relief of 0.1, 4 and 8 deg pooled"
-    console.print(declared_table(title, "fault", rows))
-    write_flights(out, rows)
+    report.print(declared_table(title, "fault", groups))
 
+
+study = Study(
+    fly,
+    repeats="flights",
+    count=4,
+    factors={"fault": list(FAULTS), "relief": RELIEFS},
+    factor_help={"fault": "Name of a fault.", "relief": "RMS slope of the terrain (deg)."},
+    report=print_declared,
+)
 
 if __name__ == "__main__":
-    main()
+    run_script(study)

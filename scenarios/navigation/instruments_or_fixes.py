@@ -21,7 +21,7 @@ from typing import Any
 
 import click
 import numpy as np
-from consistency import SCENARIOS
+from navigation_errors import SCENARIOS
 from rich.table import Table
 from scipy.stats import binomtest
 

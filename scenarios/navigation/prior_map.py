@@ -14,18 +14,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
-from consistency import SCENARIOS, error_of
-from shared_options import declared_table, json_option, seed_and_jobs, write_flights
+from navigation_errors import SCENARIOS, error_of
+from undeclared_failures import declared_table
 
 from lunarsim import Scenario, Simulation, flight_seed
 from lunarsim.api import LidarScan
-from lunarsim.campaign.pool import collect_results
-from lunarsim.console import plain_console
+from lunarsim.studies import Case, Report, Study, run_script
 
 FAULT_START_S, FAULT_END_S = 6.0, 10.0  # s
 MAX_ERROR_SIGMA = 5.0  # standard deviations
@@ -75,65 +73,24 @@ ROWS: dict[str, PriorMapFault] = {
 }
 
 
-@dataclass(frozen=True)
-class PriorMapTask:
-    """Settings of one simulated flight with a fault of the prior map or the scanner.
+def fly(case: Case) -> dict[str, Any]:
+    """Simulate one flight with a fault of the prior map or the scanner.
 
-    `fault` is a name in `ROWS`, `terrain` a name in `GROUNDS`; `flight` and `seed` (root seed)
-    determine the terrain and the noise.
+    The row has the maximum errors at the end in standard deviations (position, velocity, attitude),
+    whether one of them exceeded five (`far`), the time at which navigation found its position on
+    the map (s; NaN: never), whether navigation declared itself lost at the end and at any time, the
+    number of `covariance-inflated` events, and whether the landing was safe.
     """
-
-    fault: str
-    terrain: str
-    flight: int
-    seed: int
-
-
-@dataclass(frozen=True)
-class PriorMapFlight:
-    """Results of one simulated flight with a fault of the prior map or the scanner.
-
-    Attributes
-    ----------
-    fault, terrain
-        Name of the fault and of the terrain.
-    error_sigmas
-        Maximum errors at the end in standard deviations: position, velocity, attitude.
-    lock
-        Time at which navigation found its position on the map, s; NaN: never.
-    lost, ever_lost
-        Whether navigation declared itself lost at the end, and whether it ever did.
-    inflated
-        Number of `covariance-inflated` events (suspect measurements).
-    safe
-        Whether the landing was safe.
-    """
-
-    fault: str
-    terrain: str
-    error_sigmas: tuple[float, float, float]
-    lock: float
-    lost: bool
-    ever_lost: bool
-    inflated: int
-    safe: bool
-
-    @property
-    def far(self) -> bool:
-        """Whether an error exceeded five standard deviations at the end."""
-        return max(self.error_sigmas) > MAX_ERROR_SIGMA
-
-
-def fly(task: PriorMapTask) -> PriorMapFlight:
-    """Simulate one flight with a fault of the prior map or the scanner."""
-    row = ROWS[task.fault]
+    row = ROWS[case["fault"]]
+    # Every fault has its own terrain.
+    flight = case.number * len(ROWS) + list(ROWS).index(case["fault"])
     scenario = Scenario.load(SCENARIOS / "morpheus.toml")
-    if GROUNDS[task.terrain]:
-        scenario = scenario.changed(terrain=GROUNDS[task.terrain])
+    if GROUNDS[case["terrain"]]:
+        scenario = scenario.changed(terrain=GROUNDS[case["terrain"]])
     scenario = scenario.changed(prior_map=row.map_changes, sensors={"flash": row.scanner_changes})
-    simulation = Simulation(scenario, flight_seed(task.seed, task.flight), "safest")
+    simulation = Simulation(scenario, flight_seed(case.seed, flight), "safest")
     navigation = simulation.computer.navigation
-    take_unchanged, rng = navigation.take, np.random.default_rng([task.seed, task.flight])
+    take_unchanged, rng = navigation.take, np.random.default_rng([case.seed, flight])
 
     def take_faulty(sensor: str, measurement: Any, time: float) -> None:
         if (
@@ -155,50 +112,40 @@ def fly(task: PriorMapTask) -> PriorMapFlight:
     locks = [time for time, name, _ in simulation.computer.telemetry if name == "lock"]
     worst = (float(off[:3].max()), float(off[3:6].max()), float(off[6:].max()))
     outcome = simulation.outcome
-    return PriorMapFlight(
-        task.fault, task.terrain, worst, locks[0] if locks else np.nan, lost, "lost" in names,
-        names.count("covariance-inflated"), outcome is not None and outcome.safe,
-    )  # fmt: skip
+    return {
+        "error_sigmas": worst, "far": max(worst) > MAX_ERROR_SIGMA,
+        "lock_s": locks[0] if locks else np.nan, "lost": lost, "ever_lost": "lost" in names,
+        "inflated": names.count("covariance-inflated"),
+        "safe": outcome is not None and outcome.safe,
+    }  # fmt: skip
 
 
-@click.command()
-@click.option(
-    "--flights", type=click.IntRange(min=1), default=2, show_default=True,
-    help="Number of flights for each combination of terrain and fault.",
-)  # fmt: skip
-@click.option(
-    "--only", type=click.Choice(list(ROWS)), multiple=True,
-    help="Name of a fault to simulate; repeat the option for several faults (default: all).",
-)  # fmt: skip
-@json_option
-@click.option("--cells", is_flag=True, help="Print the results of every flight also.")
-@seed_and_jobs
-def main(
-    flights: int, only: tuple[str, ...], out: Path | None, cells: bool, seed: int, jobs: int
-) -> None:
-    """Fly with faults of prior map and scanner; count large errors not declared.
-
-    Large errors exceed five standard deviations at the end of a flight.
-    """
-    console = plain_console(120)
-    rows = list(only or ROWS)
-    # Every fault has its own terrain.
-    tasks = [
-        PriorMapTask(row, terrain, n * len(ROWS) + list(ROWS).index(row), seed)
-        for row in rows for terrain in GROUNDS for n in range(flights)
-    ]  # fmt: skip
-    flown = collect_results(fly, tasks, jobs, console, "flights")
-    for f in flown if cells else ():
-        off = ", ".join(f"{w:.1f}" for w in f.error_sigmas)
-        console.print(
-            f"{f.fault}, {f.terrain}: {off} sigma, lock {f.lock:.1f} s, lost {f.lost} (ever "
-            f"{f.ever_lost}), suspect {f.inflated}, safe {f.safe}"
+def print_declared(report: Report) -> None:
+    """Print the number of large errors and of declared failures by fault."""
+    for f in report.rows if report.options["cells"] else ():
+        off = ", ".join(f"{w:.1f}" for w in f["error_sigmas"])
+        report.print(
+            f"{f['fault']}, {f['terrain']}: {off} sigma, lock {f['lock_s']:.1f} s, "
+            f"lost {f['lost']} (ever {f['ever_lost']}), suspect {f['inflated']}, safe {f['safe']}"
         )
-    table = [(row, [f for f in flown if f.fault == row]) for row in rows]
+    groups = [(fault, rows) for (fault,), rows in report.groups("fault").items()]
     title = "Flights on a prior map; hazard field and craters pooled"
-    console.print(declared_table(title, "fault", [*table, ("all", flown)]))
-    write_flights(out, table)
+    report.print(declared_table(title, "fault", [*groups, ("all", report.rows)]))
 
+
+study = Study(
+    fly,
+    repeats="flights",
+    count=2,
+    factors={"fault": list(ROWS), "terrain": list(GROUNDS)},
+    factor_help={"fault": "Name of a fault.", "terrain": "Name of a terrain."},
+    options=(
+        click.Option(
+            ["--cells"], is_flag=True, default=False, help="Print the results of every flight also."
+        ),
+    ),
+    report=print_declared,
+)
 
 if __name__ == "__main__":
-    main()
+    run_script(study)

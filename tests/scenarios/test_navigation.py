@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
+import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from lunarsim.evaluation.consistency import Consistency
 from lunarsim.scenario import Scenario
 from lunarsim.studies import Case, report_study, run_study
 from tests.conftest import SCENARIOS
@@ -21,28 +20,17 @@ def run(command, *arguments):
     return done.output
 
 
-def test_consistency_is_printed_and_written_by_epoch(script, tmp_path):
-    study, out = script("navigation", "consistency"), tmp_path / "flown.json"
-    words = [
-        "--flights",
-        2,
-        "--seed",
-        3,
-        "--json",
-        out,
-        "--set",
-        "initial_uncertainty.position_m=1e-4",
-        "--set",
-        "terrain.size_m=300",
-        "--set",
-        "start.position_m=[-300,0,250]",
-        "--set",
-        "start.velocity_m_s=[18,0,-12]",
-    ]
-    text = run(study.main, *words)
+def test_consistency_is_printed_and_written_by_epoch(script, tmp_path, capsys):
+    study, out = script("navigation", "consistency").study, tmp_path / "flown"
+    changes = (
+        "initial_uncertainty.position_m=1e-4", "terrain.size_m=300",
+        "start.position_m=[-300,0,250]", "start.velocity_m_s=[18,0,-12]",
+    )  # fmt: skip
+    report_study(study, run_study(study, count=2, seed=3, options={"changes": changes}, out=out))
+    text = capsys.readouterr().out
     assert "NEES / degrees of freedom" in text
     assert "stars attitude" in text
-    (flights,) = json.loads(out.read_text()).values()
+    flights = json.loads((out / "results.json").read_text())["rows"]
     assert len(flights) == 2
     for flight in flights:
         assert len(flight["error"]) == len(flight["sigma"]) == len(flight["nis_at"])
@@ -61,10 +49,13 @@ def drawn(study, rng, *, scale=1.0, lost=False, nis=1.0):
     root = rng.standard_normal((9, 9)) + 3.0 * np.eye(9)
     covariance = np.array([root @ root.T] * len(study.EPOCHS))
     error = scale * rng.standard_normal((len(covariance), 9)) @ root.T
-    latest = [{"beam range": Consistency(nis * rng.chisquare(40), 40)} for _ in study.EPOCHS]
-    return study.ConsistencyFlight(
-        error, covariance, latest, latest, {}, {}, 0, (lost, lost), 0.0, 0.0, safe=True
-    )
+    latest = [{"beam range": [nis * rng.chisquare(40), 40]} for _ in study.EPOCHS]
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    return {
+        "variant": "the scenario's", "error": error, "covariance": covariance, "sigma": sigma,
+        "nis_last": latest, "nis_at": latest, "rejected": {}, "inflated": 0, "lost": lost,
+        "ever_lost": lost, "start_error": 0.0, "map_error": 0.0, "safe": True,
+    }  # fmt: skip
 
 
 def test_consistent_and_inconsistent_flights_are_distinguished(script):
@@ -80,11 +71,11 @@ def test_consistent_and_inconsistent_flights_are_distinguished(script):
     assert any("NEES" in line for line in study.inconsistencies(timid, 1.0))
     assert not any("NEES" in line for line in study.inconsistencies(timid, 0.5))
     # One flight with a large undeclared error among many consistent ones.
-    sigma = np.sqrt(np.diag(right[7].covariance[2]))
+    sigma = np.sqrt(np.diag(right[7]["covariance"][2]))
     for lost in (False, True):
-        right[7].error[2] = 0.0
-        right[7].error[2, 3] = 5.2 * sigma[3]
-        right[7] = replace(right[7], lost=(lost, lost))
+        right[7]["error"][2] = 0.0
+        right[7]["error"][2, 3] = 5.2 * sigma[3]
+        right[7]["lost"] = lost
         assert any("flight 7" in line for line in study.inconsistencies(right, 0.01)) is not lost
     for nis in (0.8, 1.25):
         off = study.inconsistencies([drawn(study, rng, nis=nis) for _ in range(50)], 1.0)
@@ -100,37 +91,40 @@ def test_monitored_quantities_are_no_measurements(script):
     )
 
 
-def test_check_exits_with_1_if_errors_are_inconsistent(script, monkeypatch):
+def test_check_exits_with_1_if_errors_are_inconsistent(script, capsys):
     study, rng = script("navigation", "consistency"), np.random.default_rng(5)
-    for scale, code in ((1.0, 0), (2.0, 1)):
-        flown = [drawn(study, rng, scale=scale) for _ in range(20)]
-        monkeypatch.setattr(study, "collect_results", lambda *_, flown=flown: flown)
-        done = CliRunner().invoke(study.main, ["--flights", "20", "--check", "1"])
-        assert done.exit_code == code, done.output
-        assert ("NEES of all nine at 0.15: " in done.output) is bool(code)
+    check = {"lower_factor": 1.0}
+    report_study(study.study, [drawn(study, rng) for _ in range(20)], options=check)
+    assert "NEES of all nine at 0.15: " not in capsys.readouterr().out
+    with pytest.raises(click.exceptions.Exit) as stopped:
+        report_study(study.study, [drawn(study, rng, scale=2.0) for _ in range(20)], options=check)
+    assert stopped.value.exit_code == 1
+    assert "NEES of all nine at 0.15: " in capsys.readouterr().out
 
 
 @pytest.mark.slow
-def test_flights_with_faults_are_written_and_summed(script, tmp_path, monkeypatch):
-    faults, out = script("navigation", "faults"), tmp_path / "faults.json"
-    monkeypatch.setattr(faults, "RELIEFS", (4.0,))
+def test_flights_with_faults_are_written_and_summed(script, tmp_path, monkeypatch, capsys):
+    faults, out = script("navigation", "faults"), tmp_path / "faults"
     # Smaller terrain, smaller initial error and a shorter descent.
     Scenario.load(SCENARIOS / "instruments.toml").changed(
         terrain={"size_m": 300.0}, initial_uncertainty={"position_m": 5.0},
         start={"position_m": [-300.0, 0.0, 250.0], "velocity_m_s": [18.0, 0.0, -12.0]},
     ).save(tmp_path / "instruments.toml")  # fmt: skip
     monkeypatch.setattr(faults, "SCENARIOS", tmp_path)
-    words = ["--flights", 1, "--only", "none", "--only", "velocimeter dead", "--json", out]
-    assert "velocimeter dead" in run(faults.main, *words)
-    flown = json.loads(out.read_text())
-    assert [f["row"] for f in flown] == ["none", "velocimeter dead"]
-    more = tmp_path / "rocks.json"
+    levels = {"fault": ["none", "velocimeter dead"], "relief": [4.0]}
+    rows = run_study(faults.study, count=1, levels=levels, out=out)
+    report_study(faults.study, rows)
+    assert "velocimeter dead" in capsys.readouterr().out
+    flown = json.loads((out / "results.json").read_text())["rows"]
+    assert [f["fault"] for f in flown] == ["none", "velocimeter dead"]
+    more = tmp_path / "rocks"
     wrong = [
-        {"row": "none", "far": 0, "lost": 1, "inflated": 0, "safe": 1},
-        {"row": "Sun 45 deg off", "far": 1, "lost": 1, "inflated": 0, "safe": 0},
-        {"row": "Sun 45 deg off", "far": 1, "lost": 0, "inflated": 0, "safe": 0},
+        {"fault": "none", "far": 0, "lost": 1, "inflated": 0, "safe": 1},
+        {"fault": "Sun 45 deg off", "far": 1, "lost": 1, "inflated": 0, "safe": 0},
+        {"fault": "Sun 45 deg off", "far": 1, "lost": 0, "inflated": 0, "safe": 0},
     ]
-    more.write_text(json.dumps(wrong))
+    more.mkdir()
+    (more / "results.json").write_text(json.dumps({"rows": wrong}))
     text = run(script("navigation", "undeclared_failures").main, out, more)
     lines = [line.split("│") for line in text.splitlines() if line.startswith("│")]
     cells = {line[1].strip(): [cell.split(" [")[0].strip() for cell in line[2:5]] for line in lines}
@@ -173,13 +167,10 @@ def test_flight_on_an_outdated_map_is_evaluated(script, tmp_path):
 @pytest.mark.parametrize("name", ["instruments", "camera_and_lidar", "shadow_nominal", "morpheus"])
 def test_errors_of_fifty_flights_are_consistent(script, name):
     study = script("navigation", "consistency")
-    modest, changes = study.SETS[name]
-    path = str(SCENARIOS / f"{name}.toml")
-    tasks = [
-        study.ConsistencyTask(path, None, n, 1201, "safest", None, changes=changes)
-        for n in range(50)
-    ]
-    assert study.inconsistencies([study.fly(task) for task in tasks], modest) == []
+    modest, changes = script("navigation", "consistency_bounds").SETS[name]
+    options = {"scenario": str(SCENARIOS / f"{name}.toml"), "changes": changes}
+    rows = run_study(study.study, count=50, seed=1201, options=options)
+    assert study.inconsistencies(rows, modest) == []
 
 
 @pytest.mark.slow

@@ -149,9 +149,7 @@ def test_navigation_metrics_are_by_flight(results):
     flight = {"nees": {"all nine": 0.8, "position": None}, "nis": {"stars": 1.1},
               "start_error": 40.0, "map_error": 3.0, "lost": False, "safe": True}  # fmt: skip
     other = {**flight, "nees": {"all nine": 1.4, "position": 2.0}, "nis": {}, "safe": False}
-    report = results.extract_report(
-        "navigation", {"the scenario's": [flight, other]}, "python n.py"
-    )
+    report = results.extract_report("navigation", {"rows": [flight, other]}, "python n.py")
     assert {f.label: f.values for f in report.figures} == {
         "NEES / degrees of freedom, all nine (ideal 1)": [0.8, 1.4],
         "NEES / degrees of freedom, position (ideal 1)": [2.0],
