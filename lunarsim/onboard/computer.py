@@ -23,10 +23,12 @@ from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.divert_inhibit import DivertInhibit
 from lunarsim.onboard.error_prefix import prefix_input_errors
 from lunarsim.onboard.guidance.climb import climb
+from lunarsim.onboard.guidance.command_limits import (
+    LimitViolationMonitor,
+    PositionCorrectionLimiter,
+)
 from lunarsim.onboard.guidance.contract import PhaseEnd, UsesHazardMap
 from lunarsim.onboard.guidance.divert_cost import DivertCost
-from lunarsim.onboard.guidance.limit_violation_monitor import LimitViolationMonitor
-from lunarsim.onboard.guidance.position_correction_limiter import PositionCorrectionLimiter
 from lunarsim.onboard.guidance.vertical import descent_law
 from lunarsim.onboard.hazards.hazard_map import HazardMap, lookup_elevation
 from lunarsim.onboard.hazards.map_tilt_correction import MapTiltCorrection

@@ -125,12 +125,12 @@ CONTRACTS: dict[str, Contract] = {
         "guidance law of the approach",
         {
             "apollo": "lunarsim.onboard.guidance.apollo:ApolloLaw",
-            "modified-apollo": "lunarsim.onboard.guidance.modified_apollo:ModifiedApolloLaw",
-            "e-guidance": "lunarsim.onboard.guidance.e_guidance:EGuidanceLaw",
-            "zem-zev": "lunarsim.onboard.guidance.zem_zev:ZemZevLaw",
-            "augmented-apollo": "lunarsim.onboard.guidance.augmented_apollo:AugmentedApolloLaw",
+            "modified-apollo": "lunarsim.onboard.guidance.polynomial_laws:ModifiedApolloLaw",
+            "e-guidance": "lunarsim.onboard.guidance.polynomial_laws:EGuidanceLaw",
+            "zem-zev": "lunarsim.onboard.guidance.polynomial_laws:ZemZevLaw",
+            "augmented-apollo": "lunarsim.onboard.guidance.polynomial_laws:AugmentedApolloLaw",
             "fractional-polynomial": (
-                "lunarsim.onboard.guidance.fractional:FractionalPolynomialLaw"
+                "lunarsim.onboard.guidance.polynomial_laws:FractionalPolynomialLaw"
             ),
             "optimal": "lunarsim.onboard.guidance.optimal_law:OptimalLaw",
             "neural-optimal": "lunarsim.onboard.guidance.neural_law:NeuralOptimalLaw",

@@ -270,7 +270,7 @@ def test_a_path_that_asks_for_too_much_arrives_later(small_scenario, monkeypatch
     assert miss(found) < 1.0
     assert found.outcome.touchdown.horizontal_speed < 0.5
     monkeypatch.setattr(
-        "lunarsim.onboard.guidance.limit_violation_monitor.LimitViolationMonitor.exceeds_duration",
+        "lunarsim.onboard.guidance.command_limits.LimitViolationMonitor.exceeds_duration",
         lambda *a: False,
     )
     assert miss(moved_late(small_scenario)) > 5.0

@@ -56,9 +56,7 @@ def flown(phase: str, left: float) -> float:
 @pytest.mark.parametrize(("phase", "left"), [(Phase.APPROACH, 4.0), (Phase.VERTICAL, 8.0)])
 def test_a_place_that_jumps_near_the_end_is_not_chased(phase, left, monkeypatch):
     steady = flown(phase, left)
-    as_it_is = (
-        "lunarsim.onboard.guidance.position_correction_limiter.PositionCorrectionLimiter.limit"
-    )
+    as_it_is = "lunarsim.onboard.guidance.command_limits.PositionCorrectionLimiter.limit"
     monkeypatch.setattr(as_it_is, lambda self, estimate, left: estimate)
     chased = flown(phase, left)
     assert steady < 0.35

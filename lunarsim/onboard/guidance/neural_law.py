@@ -21,11 +21,11 @@ from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.guidance.apollo import ApolloLaw
 from lunarsim.onboard.guidance.contract import PhaseEnd, require_finite_state
 from lunarsim.onboard.guidance.divert_cost import divert_cost
-from lunarsim.onboard.guidance.e_guidance import EGuidanceLaw
 from lunarsim.onboard.guidance.optimal_network import OptimalNetwork, reduce_state
 from lunarsim.onboard.guidance.path_guidance import ActuatorLagModel, PathGuidance
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import APOLLO, PathShape
+from lunarsim.onboard.guidance.polynomial_laws import EGuidanceLaw
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import quantity
 from lunarsim.typing import Array

@@ -9,8 +9,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.apollo import ApolloLaw
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.divert_cost import PathLimits, divert_cost
-from lunarsim.onboard.guidance.e_guidance import EGuidanceLaw
-from lunarsim.onboard.guidance.modified_apollo import ModifiedApolloLaw
+from lunarsim.onboard.guidance.polynomial_laws import EGuidanceLaw, ModifiedApolloLaw
 from lunarsim.onboard.navigation.estimate import Estimate
 from tests.reference import divert as plain
 

@@ -17,15 +17,18 @@ from lunarsim.core.feedback import fractional_polynomial
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.apollo import ApolloLaw, jerk_time_to_go
-from lunarsim.onboard.guidance.augmented_apollo import AugmentedApolloLaw
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.e_guidance import EGuidanceLaw
-from lunarsim.onboard.guidance.fractional import FractionalPolynomialLaw, fractional_shape
 from lunarsim.onboard.guidance.jerk_limited import max_jerk_and_snap
-from lunarsim.onboard.guidance.modified_apollo import ModifiedApolloLaw
 from lunarsim.onboard.guidance.path_guidance import CompiledFeedback
 from lunarsim.onboard.guidance.paths import APOLLO, E_GUIDANCE, PathShape
-from lunarsim.onboard.guidance.zem_zev import ZemZevLaw
+from lunarsim.onboard.guidance.polynomial_laws import (
+    AugmentedApolloLaw,
+    EGuidanceLaw,
+    FractionalPolynomialLaw,
+    ModifiedApolloLaw,
+    ZemZevLaw,
+    fractional_shape,
+)
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.registry import kinds, resolve
 

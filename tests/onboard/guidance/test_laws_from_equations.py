@@ -8,9 +8,9 @@ import pytest
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.guidance.approach import Approach
+from lunarsim.onboard.guidance.command_limits import LimitViolationMonitor
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.divert_cost import divert_cost
-from lunarsim.onboard.guidance.limit_violation_monitor import LimitViolationMonitor
 from lunarsim.onboard.guidance.path_guidance import PathGuidance
 from lunarsim.onboard.guidance.paths import APOLLO
 from lunarsim.onboard.guidance.vertical import VerticalDescent

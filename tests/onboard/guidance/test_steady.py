@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.onboard.guidance.position_correction_limiter import PositionCorrectionLimiter
+from lunarsim.onboard.guidance.command_limits import PositionCorrectionLimiter
 from lunarsim.onboard.navigation.estimate import Estimate
 
 SPEED = np.array([3.0, -1.0, -2.0])

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.onboard.guidance.limit_violation_monitor import LimitViolationMonitor
+from lunarsim.onboard.guidance.command_limits import LimitViolationMonitor
 
 MOST = (np.deg2rad(40.0), 5000.0)
 
