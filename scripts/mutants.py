@@ -45,10 +45,6 @@ _TESTS: dict[str, tuple[str, ...]] = {
         "tests/onboard/control",
         "tests/simulation/test_cycle.py",
     ),
-    "lunarsim/onboard/hazards/shadows/_density_kernels.py": (
-        "tests/kernels/onboard/hazards/shadows/test_evidence.py",
-        "tests/onboard/hazards/shadows/test_evidence.py",
-    ),
     "lunarsim/onboard/hazards/shadows/_evidence_kernels.py": (
         "tests/kernels/onboard/hazards/shadows/test_evidence.py",
         "tests/onboard/hazards/shadows/test_evidence.py",
@@ -61,6 +57,8 @@ _TESTS: dict[str, tuple[str, ...]] = {
         "tests/onboard/hazards/shadows/test_probability_map.py",
         "tests/kernels/onboard/hazards/shadows/test_probability.py",
         "tests/onboard/hazards/shadows/test_probability.py",
+        "tests/kernels/onboard/hazards/shadows/test_evidence.py",
+        "tests/onboard/hazards/shadows/test_evidence.py",
     ),
     "lunarsim/onboard/navigation/_kriging_kernels.py": (
         "tests/kernels/onboard/navigation/test_kriging.py",

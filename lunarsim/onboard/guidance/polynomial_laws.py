@@ -1,4 +1,4 @@
-"""Guidance laws with two powers of time-to-go in the acceleration, besides Apollo guidance.
+"""Guidance laws with two powers of time-to-go in the acceleration.
 
 E-guidance: Cherry, "A general, explicit, optimizing guidance law for rocket-propelled spaceflight",
 AIAA paper 64-638, 1964. It meets position and velocity at the target with an acceleration linear in

@@ -23,7 +23,7 @@ formula ignores rocks and holes below the roughness limit that would tilt the la
 regression counts them.
 
 A rock sensor that finds far fewer rocks than expected is rejected
-(`lunarsim.onboard.hazards.shadows.rock_count_check`), unless it underestimates their size: here
+(`lunarsim.onboard.hazards.shadows.association`), unless it underestimates their size: here
 rocks are counted with the height scale from the samples.
 """
 
@@ -41,7 +41,7 @@ from lunarsim.onboard.calibration.gaussian_dem import (
 from lunarsim.onboard.hazards.fusion.resampling import resample_to_grid
 from lunarsim.onboard.hazards.fusion.rock_heights import RockHeights
 from lunarsim.onboard.hazards.map_evidence import RockEvidence, RockTracks
-from lunarsim.onboard.hazards.shadows.rock_count_check import is_rock_count_too_low
+from lunarsim.onboard.hazards.shadows.association import is_rock_count_too_low
 from lunarsim.typing import Array
 
 # Slope and roughness count as well within the limits up to 1 minus these shares.

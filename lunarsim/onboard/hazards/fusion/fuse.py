@@ -38,7 +38,7 @@ from lunarsim.onboard.hazards.fusion.flat_terrain import (
     no_missed_rock_probability,
     no_undetected_rock_probability,
 )
-from lunarsim.onboard.hazards.fusion.priors import FusionPriors
+from lunarsim.onboard.hazards.fusion.priors import FusionPriors, unobserved_safety_prior
 from lunarsim.onboard.hazards.fusion.registration import register_tracks
 from lunarsim.onboard.hazards.fusion.resampling import resample_to_grid
 from lunarsim.onboard.hazards.fusion.rock_existence import (
@@ -50,7 +50,6 @@ from lunarsim.onboard.hazards.fusion.rock_heights import (
     estimate_rock_heights,
     rock_free_probability,
 )
-from lunarsim.onboard.hazards.fusion.unobserved_safety_prior import unobserved_safety_prior
 from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap
 from lunarsim.onboard.hazards.map_evidence import RockEvidence, TerrainEvidence
 from lunarsim.onboard.hazards.shadows.footprints import disc_mean

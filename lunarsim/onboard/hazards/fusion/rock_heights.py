@@ -34,8 +34,10 @@ from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.fusion import _height_kernels as kernels
 from lunarsim.onboard.hazards.fusion.elevation_samples import INDEPENDENT_SHARE, ElevationSamples
-from lunarsim.onboard.hazards.fusion.rock_existence import COMMON_MISS_PROBABILITY
-from lunarsim.onboard.hazards.fusion.rock_track_precision import rock_track_precision
+from lunarsim.onboard.hazards.fusion.rock_existence import (
+    COMMON_MISS_PROBABILITY,
+    rock_track_precision,
+)
 from lunarsim.onboard.hazards.map_evidence import RockTracks
 from lunarsim.onboard.hazards.shadows._probability_kernels import multiply_clear_probability
 from lunarsim.onboard.hazards.shadows.probability import cover_probability

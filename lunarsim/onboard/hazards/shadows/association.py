@@ -1,15 +1,22 @@
-"""Associate detections with tracked rocks."""
+"""Associate detections with tracked rocks, and check the rocks that result."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.spatial import cKDTree
+from scipy.special import pdtr
 
+from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.navigation.matrix_2x2 import largest_eigenvalue_2x2, squared_mahalanobis_2x2
+from lunarsim.onboard.navigation.rock_filter import RockFilter
+from lunarsim.onboard.perception.detector import Detections
+from lunarsim.onboard.perception.ground_plane import GroundPlane
+from lunarsim.onboard.perception.shadow_model import ShadowPatch
 from lunarsim.typing import Array, BoolArray, IntArray
 
 # 99.9 % quantile of chi-squared with 3 degrees of freedom (pixel and radius).
@@ -136,3 +143,80 @@ def _is_unambiguous(
     matched = ~is_pair & (detection_of[j] >= 0)
     np.minimum.at(rival, detection_of[j[matched]], distance[matched])
     return np.asarray(rival > cost + _MIN_RIVAL_MARGIN)
+
+
+def is_dark_at_patch(
+    rocks: RockFilter,
+    index: IntArray,
+    unit_patches: ShadowPatch,
+    detections: Detections,
+    camera: CameraModel,
+    sun: Array,
+    plane: GroundPlane,
+) -> BoolArray:
+    """Return whether an image is dark where the shadow of each rock is expected (n,).
+
+    `rocks` is the filter of the tracked rocks and `index` (n,) selects the rocks. `unit_patches`
+    are the expected dark patches of rocks of radius 1 m at their positions. `sun` (3,) is the
+    direction towards the Sun, ENU, and `plane` the plane on which shadows fall.
+    """
+    s = np.array([sun[0], sun[1]]) / np.hypot(sun[0], sun[1])
+    offset = np.stack((unit_patches.along, unit_patches.side), -1) @ np.array(
+        [[s[0], s[1]], [-s[1], s[0]]]
+    )
+    middle = rocks.xyz[index]
+    offset *= rocks.radius[index, None]
+    middle += np.column_stack((offset, offset @ np.array(plane.gradient)))
+    u, v = np.rint(rocks.project_rocks(camera, middle).pixel).T
+    u = np.clip(u, 0, camera.width - 1).astype(int)
+    v = np.clip(v, 0, camera.height - 1).astype(int)
+    return np.asarray(detections.labels[v, u] > 0)
+
+
+@dataclass(frozen=True)
+class TentativeRocks:
+    """Detections of the last image that are not tracked but may be rocks.
+
+    They are too inaccurate to start a track.
+
+    Attributes
+    ----------
+    xy
+        Centres (n, 2), m.
+    sigma
+        Position error, root of the mean variance of both axes (n,), m.
+    radius, radius_variance
+        Radius (n,), m, and its variance, m^2.
+    existence
+        Probability that each is a rock (n,).
+    """
+
+    xy: Array
+    sigma: Array
+    radius: Array
+    radius_variance: Array
+    existence: Array
+
+    @classmethod
+    def none(cls) -> TentativeRocks:
+        """Return an object without any detection."""
+        empty = np.empty(0)
+        return cls(np.empty((0, 2)), empty, empty, empty, empty)
+
+
+# The number is too low if it is below this fraction of the expected number and its probability is
+# below this value.
+_MIN_FOUND_FRACTION, _MAX_CHANCE = 0.25, 1e-6
+
+
+def is_rock_count_too_low(found: int, expected: float) -> bool:
+    """Return whether far fewer rocks were found than expected.
+
+    Either the terrain has fewer rocks, or they are not detected.
+
+    Parameters
+    ----------
+    found, expected
+        Number of rocks found, and number expected from the size distribution and detection rates.
+    """
+    return bool(found < _MIN_FOUND_FRACTION * expected and pdtr(found, expected) < _MAX_CHANCE)

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from lunarsim.grid import Grid
 from lunarsim.models.pinhole import View
-from lunarsim.onboard.hazards.shadows import _density_kernels as density
 from lunarsim.onboard.hazards.shadows import _evidence_kernels as kernels
+from lunarsim.onboard.hazards.shadows import _probability_kernels as density
 from lunarsim.onboard.hazards.shadows.footprints import disc_mean
 from lunarsim.onboard.hazards.shadows.map_motion import MapMotion
 from lunarsim.onboard.hazards.shadows.viewing_geometry import viewing_geometry

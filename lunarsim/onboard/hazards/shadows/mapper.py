@@ -19,20 +19,22 @@ from lunarsim.models.pose import Pose
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.map_evidence import RockEvidence
 from lunarsim.onboard.hazards.mapper import HazardMapper, is_off_centre
-from lunarsim.onboard.hazards.shadows.blind_regions import (
-    blind_regions,
-    cell_centres,
-    sharpness_and_area_of_cells,
-)
-from lunarsim.onboard.hazards.shadows.measured_terrain import MeasuredTerrain
-from lunarsim.onboard.hazards.shadows.position_errors import position_sigma
+from lunarsim.onboard.hazards.shadows.association import is_rock_count_too_low
 from lunarsim.onboard.hazards.shadows.probability_map import (
     ProbabilityMap,
     rock_tracks,
 )
-from lunarsim.onboard.hazards.shadows.rock_count_check import is_rock_count_too_low
-from lunarsim.onboard.hazards.shadows.terrain_height_errors import height_sigma
+from lunarsim.onboard.hazards.shadows.terrain_errors import (
+    MeasuredTerrain,
+    height_sigma,
+    position_sigma,
+)
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker
+from lunarsim.onboard.hazards.shadows.viewing_geometry import (
+    blind_regions,
+    cell_centres,
+    sharpness_and_area_of_cells,
+)
 from lunarsim.onboard.navigation.error_state import UpdateOutcome
 from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
 from lunarsim.onboard.navigation.rock_filter import MapRegion

@@ -9,13 +9,11 @@ from scipy.spatial import cKDTree
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.camera import CameraModel
-from lunarsim.onboard.hazards.shadows.association import associate
-from lunarsim.onboard.hazards.shadows.ground_errors import (
+from lunarsim.onboard.hazards.shadows.association import TentativeRocks, associate, is_dark_at_patch
+from lunarsim.onboard.hazards.shadows.terrain_errors import (
     terrain_position_covariance,
     terrain_position_sigma,
 )
-from lunarsim.onboard.hazards.shadows.shadow_overlap import is_dark_at_patch
-from lunarsim.onboard.hazards.shadows.tentative_rocks import TentativeRocks
 from lunarsim.onboard.hazards.shadows.tracker_settings import TrackerSettings
 from lunarsim.onboard.hazards.shadows.viewing_geometry import viewing_geometry
 from lunarsim.onboard.navigation.error_state import UpdateOutcome

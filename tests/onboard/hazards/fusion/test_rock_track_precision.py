@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.fusion.elevation_samples import ElevationSamples
+from lunarsim.onboard.hazards.fusion.rock_existence import rock_track_precision
 from lunarsim.onboard.hazards.fusion.rock_heights import estimate_rock_heights
-from lunarsim.onboard.hazards.fusion.rock_track_precision import rock_track_precision
 from lunarsim.onboard.hazards.map_evidence import RockTracks
 from tests.camera_and_lidar import bumps
 from tests.reference import fusion as plain

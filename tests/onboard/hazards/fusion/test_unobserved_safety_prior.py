@@ -11,11 +11,11 @@ import pytest
 from lunarsim.onboard.calibration.calibrated_safety import calibrated_safety
 from lunarsim.onboard.hazards.fusion.flat_terrain import no_undetected_rock_probability
 from lunarsim.onboard.hazards.fusion.fuse import footprint_undetected_ratio, fuse_evidence
+from lunarsim.onboard.hazards.fusion.priors import unobserved_safety_prior
 from lunarsim.onboard.hazards.fusion.rock_heights import (
     estimate_rock_heights,
     rock_free_probability,
 )
-from lunarsim.onboard.hazards.fusion.unobserved_safety_prior import unobserved_safety_prior
 from tests.camera_and_lidar import (
     DOUBTED,
     FOOTPRINT,

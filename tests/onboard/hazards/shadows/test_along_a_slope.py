@@ -16,9 +16,11 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.mapper_factory import build_mappers
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
 from lunarsim.onboard.hazards.shadows.mapping import ShadowMapping
-from lunarsim.onboard.hazards.shadows.measured_terrain import MeasuredTerrain
-from lunarsim.onboard.hazards.shadows.position_errors import position_sigma
-from lunarsim.onboard.hazards.shadows.terrain_plane import fit_terrain_plane
+from lunarsim.onboard.hazards.shadows.terrain_errors import (
+    MeasuredTerrain,
+    fit_terrain_plane,
+    position_sigma,
+)
 from lunarsim.onboard.hazards.shadows.viewing_geometry import viewing_geometry
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.navigator import Navigator

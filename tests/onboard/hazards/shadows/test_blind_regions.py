@@ -12,7 +12,7 @@ from scipy.stats import poisson
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import CameraImage
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
-from lunarsim.onboard.hazards.shadows.blind_regions import (
+from lunarsim.onboard.hazards.shadows.viewing_geometry import (
     COLS,
     ROWS,
     cell_centres,

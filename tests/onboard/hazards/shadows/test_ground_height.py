@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.onboard.hazards.shadows.terrain_height_errors import (
+from lunarsim.onboard.hazards.shadows.terrain_errors import (
     height_sigma,
     height_variance_growth,
 )

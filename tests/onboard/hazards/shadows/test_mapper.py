@@ -12,7 +12,7 @@ from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import CameraImage
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
-from lunarsim.onboard.hazards.shadows.blind_regions import cell_centres
+from lunarsim.onboard.hazards.shadows.viewing_geometry import cell_centres
 from lunarsim.onboard.perception.image_quality import (
     ImageQualityCheck,
     ImageQualitySettings,

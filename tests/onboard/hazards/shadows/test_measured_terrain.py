@@ -12,7 +12,7 @@ from lunarsim.grid import Grid
 from lunarsim.messages.measurements import CameraImage
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
-from lunarsim.onboard.hazards.shadows.measured_terrain import MeasuredTerrain
+from lunarsim.onboard.hazards.shadows.terrain_errors import MeasuredTerrain
 from lunarsim.onboard.navigation.error_state import UpdateOutcome
 from lunarsim.onboard.navigation.inertial import StrapdownState
 from lunarsim.onboard.navigation.rock_filter import RockFilter

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.onboard.hazards.shadows.position_errors import position_sigma
+from lunarsim.onboard.hazards.shadows.terrain_errors import position_sigma
 from tests.shadow_scene import tracker_at
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.shadows.terrain_plane import fit_terrain_plane
+from lunarsim.onboard.hazards.shadows.terrain_errors import fit_terrain_plane
 
 GRID = Grid.centred((40.0, -30.0), 80.0, 0.5)
 
