@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
+from lunarsim.onboard.calibration.calibration_files import CalibrationTable
 from lunarsim.onboard.calibration.evidence import CalibrationEvidence
 from lunarsim.typing import BoolArray
 
@@ -80,6 +81,14 @@ class CalibrationDomain:
             for v in (noise, spacing)
         ]
         return cls(max(h, _MIN_HAZARDS_LIMIT), max(t, _MIN_TILTING_LIMIT), *ranges)
+
+    @classmethod
+    def parsed(cls, table: CalibrationTable) -> CalibrationDomain:
+        """Return the domain stored in a table of a calibration file."""
+        return cls(
+            table.number("hazards"), table.number("tilting"),
+            table.range("noise"), table.range("spacing"),
+        )  # fmt: skip
 
     def contains(self, evidence: CalibrationEvidence) -> BoolArray:
         """Return which sites of a map are observed and in the domain, in the map's shape."""

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import expit
 
+from lunarsim.atomic_files import atomic_write_text
 from lunarsim.errors import InputError
 from lunarsim.onboard.calibration.conservative_probability import (
     ALMOST_CERTAINLY_SAFE_P,
@@ -182,7 +183,7 @@ class Ensemble:
         """Write the weights of all fits to a JSON file."""
         rows = ",\n".join(f"  {json.dumps(row)}" for row in self.weights)
         head = f'"note": {json.dumps(self.note)},\n "without": {json.dumps(self.without)}'
-        path.write_text(f'{{\n {head},\n "weights": [\n{rows}\n ]\n}}\n', encoding="utf-8")
+        atomic_write_text(path, f'{{\n {head},\n "weights": [\n{rows}\n ]\n}}\n')
 
     @classmethod
     def load(cls, path: Path, features: int, rising: int = 0) -> Ensemble:

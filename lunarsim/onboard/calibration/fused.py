@@ -12,27 +12,24 @@ observation.
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
-from lunarsim.atomic_files import atomic_write_text, read_json_with_format
 from lunarsim.errors import InputError
+from lunarsim.onboard.calibration.calibration_files import CalibrationTable, StoredCalibration
+from lunarsim.onboard.calibration.stage import StageWeights
 from lunarsim.typing import Array
 
 # Maximum magnitude of the log odds, and of their change.
 _MAX_LOG_ODDS, _MAX_LOG_ODDS_CHANGE = 10.0, 2.0
-_FORMAT = "lunarsim fused calibration 1"
-_KEYS = ("intercept", "slope", "other")
 
 
 @dataclass(frozen=True)
-class FusedCalibration:
+class FusedCalibration(StageWeights, StoredCalibration):
     """Weights of the calibration C of the fused landing probability.
 
     The calibrated log odds are logit p + clip(a + (b - 1) logit p + c logit q), where p is the
@@ -44,31 +41,12 @@ class FusedCalibration:
         Weights a and b; the defaults leave the log odds unchanged.
     other
         Weight c of the log odds of the second elevation map.
-
-    Raises
-    ------
-    InputError
-        If a weight is not a finite number, or if `slope` or `other` is negative.
     """
 
-    intercept: float = 0.0
-    slope: float = 1.0
-    other: float = 0.0
+    file_format = "lunarsim fused calibration 1"
+    writer = "scenarios/sensor_fusion_calibration.py"
 
-    def __post_init__(self) -> None:
-        for name in _KEYS:
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(f"calibration.{name}", value, "must be a number")
-            if not np.isfinite(value):
-                raise InputError(f"calibration.{name}", value, "must be finite")
-        for name in ("slope", "other"):
-            if getattr(self, name) < 0.0:
-                raise InputError(
-                    f"calibration.{name}", getattr(self, name),
-                    "must be 0 or more",
-                    "A negative weight would make a site less safe if an input map is safer.",
-                )  # fmt: skip
+    other: float = 0.0
 
     def probability(
         self, p: ArrayLike, p_second: ArrayLike, is_second_observed: ArrayLike
@@ -147,30 +125,9 @@ class FusedCalibration:
         found = minimize(loss, identity, jac=True, method="L-BFGS-B", bounds=bounds)
         return cls(*(float(w) for w in found.x))
 
-    def save(self, path: Path) -> None:
-        """Write the weights as JSON with an atomic file replacement."""
-        atomic_write_text(path, json.dumps({"format": _FORMAT, **asdict(self)}, indent=1) + "\n")
-
     @classmethod
-    def load(cls, path: Path) -> FusedCalibration:
-        """Read a file written by `save`.
-
-        Raises
-        ------
-        InputError
-            If the file is missing, has another format, or contains an invalid number.
-        """
-        data = read_json_with_format(
-            path, "calibration", _FORMAT, " written by scenarios/sensor_fusion_calibration.py"
-        )
-        missing = [key for key in _KEYS if key not in data]
-        if missing:
-            raise InputError(
-                "calibration",
-                str(path),
-                f"must be a file that contains {', '.join(map(repr, missing))}",
-            )
-        return cls(**{key: data[key] for key in _KEYS})
+    def _parsed(cls, table: CalibrationTable) -> FusedCalibration:
+        return cls(*(table.number(f.name) for f in fields(cls)))
 
 
 def _log_odds(p: ArrayLike) -> Array:

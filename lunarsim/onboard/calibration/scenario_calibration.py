@@ -9,22 +9,21 @@ probability.
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, field, fields
 
 import numpy as np
-from scipy.special import expit
 
-from lunarsim.atomic_files import atomic_write_text, read_json_with_format
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.calibration.calibration_files import (
+    CalibrationTable,
+    StoredCalibration,
+    check_number,
+)
 from lunarsim.onboard.calibration.domain import CalibrationDomain
 from lunarsim.onboard.calibration.ensemble import Ensemble
-from lunarsim.onboard.calibration.logistic import Logistic
+from lunarsim.onboard.calibration.stage import CalibrationStage
 from lunarsim.parts.quantity import quantity_of
 from lunarsim.typing import Array, BoolArray
 
@@ -32,8 +31,6 @@ MetricTable = Mapping[str, Mapping[str, float | None]]
 
 # Fields of the lander that affect the safety of a site.
 _LANDER = ("legs", "leg_radius", "pad_diameter", "slope_limit", "roughness_limit")
-_FORMAT = "lunarsim scenario calibration 1"
-_WRITE_REMEDY = "Write such a file with `lunarsim calibrate`."
 _REFIT_REMEDY = "Fit it again with `lunarsim calibrate`, or omit the calibration."
 
 
@@ -42,51 +39,7 @@ MIN_SITES_PER_CLASS = 20
 
 
 @dataclass(frozen=True)
-class CalibrationStage:
-    """Last stage of the safety calibration: scales and shifts log odds of safety.
-
-    The probability is ``expit(intercept + slope * log_odds)``.
-
-    Attributes
-    ----------
-    intercept, slope
-        Coefficients for the log odds of the regression supplied with lunarsim; the defaults do not
-        change these log odds.
-
-    Raises
-    ------
-    InputError
-        If a number is not finite, or `slope` is negative.
-    """
-
-    intercept: float = 0.0
-    slope: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not np.isfinite(self.intercept):
-            raise InputError("calibration.intercept", self.intercept, "must be finite")
-        if not (np.isfinite(self.slope) and self.slope >= 0.0):
-            raise InputError(
-                "calibration.slope", self.slope,
-                "must be 0 or more and finite",
-            )  # fmt: skip
-
-    @classmethod
-    def fit(cls, log_odds: Array, safe: BoolArray) -> CalibrationStage:
-        """Fit the last stage of the calibration to safe and unsafe sites (n,).
-
-        `log_odds` are from the regression; the fit is by maximum likelihood.
-        """
-        x = np.column_stack((np.ones_like(log_odds), log_odds))
-        return cls(*Logistic.fit(x, safe, rising=1).weights)
-
-    def probability(self, log_odds: Array) -> Array:
-        """Return the probability of safety (n,) from the log odds of the regression (n,)."""
-        return np.asarray(expit(self.intercept + self.slope * log_odds))
-
-
-@dataclass(frozen=True)
-class ScenarioCalibration:
+class ScenarioCalibration(StoredCalibration):
     """Last stage of the safety calibration fitted to one scenario, and its data.
 
     Attributes
@@ -110,6 +63,9 @@ class ScenarioCalibration:
         the domain of the supplied calibration ("packaged_domain") and in that of this one
         ("refit_domain"). None: not available.
     """
+
+    file_format = "lunarsim scenario calibration 1"
+    writer = "`lunarsim calibrate`"
 
     inside: CalibrationStage
     outside: CalibrationStage
@@ -211,53 +167,19 @@ class ScenarioCalibration:
                 _REFIT_REMEDY,
             )  # fmt: skip
 
-    # --- files ----------------------------------------------------------------------------
-
-    def save(self, path: Path) -> None:
-        """Write the calibration to a JSON file, atomically (complete or absent).
-
-        Raises
-        ------
-        OSError
-            If the file cannot be written.
-        """
-        data = {"format": _FORMAT, **asdict(self)}
-        text = json.dumps(data, indent=1, allow_nan=False) + "\n"
-        atomic_write_text(path, text)
-
     @classmethod
-    def load(cls, path: Path) -> ScenarioCalibration:
-        """Read a scenario's calibration from a JSON file written by `save`.
-
-        Raises
-        ------
-        InputError
-            If the file is missing, is not a calibration, or has an invalid number.
-        """
-        data = read_json_with_format(
-            path, "calibration", _FORMAT, " written by `lunarsim calibrate`"
-        )
-        return cls._parsed(data)
-
-    @classmethod
-    def _parsed(cls, data: dict[str, Any]) -> ScenarioCalibration:
-        domain = _table(data, "domain")
-        lander = _table(data, "lander")
-        texts = {key: _entry(data, key, str) for key in ("regression", "scenario", "mapper")}
-        counts = {key: _entry(data, key, int) for key in ("flights", "sites", "seed")}
+    def _parsed(cls, table: CalibrationTable) -> ScenarioCalibration:
+        lander = table.table("lander")
         return cls(
-            inside=_stage(data, "inside"),
-            outside=_stage(data, "outside"),
-            domain=CalibrationDomain(
-                _number(domain, "hazards"), _number(domain, "tilting"),
-                _range(domain, "noise"), _range(domain, "spacing"),
-            ),
-            lander={key: _number(lander, key) for key in lander_safety_params(Lander())},
-            before=_metrics(data, "before"),
-            after=_metrics(data, "after"),
-            **texts,
-            **counts,
-        )  # fmt: skip
+            inside=CalibrationStage.parsed(table.table("inside")),
+            outside=CalibrationStage.parsed(table.table("outside")),
+            domain=CalibrationDomain.parsed(table.table("domain")),
+            lander={key: lander.number(key) for key in lander_safety_params(Lander())},
+            before=_metrics(table.table("before")),
+            after=_metrics(table.table("after")),
+            **{key: table.value(key, str) for key in ("regression", "scenario", "mapper")},
+            **{key: table.value(key, int) for key in ("flights", "sites", "seed")},
+        )
 
 
 def has_enough_sites(safe: BoolArray) -> bool:
@@ -279,65 +201,12 @@ def lander_safety_params(lander: Lander) -> dict[str, float]:
     return found
 
 
-def _entry(data: dict[str, Any], key: str, kind: type) -> Any:
-    """Return the value under a key of a calibration file, of the type `kind`."""
-    if key not in data:
-        raise InputError(
-            f"calibration.{key}", None, "is missing from the calibration file", _WRITE_REMEDY, False
-        )
-    value = data[key]
-    if not isinstance(value, kind) or isinstance(value, bool):
-        words = {str: "must be a text", int: "must be an integer", dict: "must be a table"}
-        raise InputError(f"calibration.{key}", value, words[kind])
-    return value
-
-
-def _table(data: dict[str, Any], key: str) -> dict[str, Any]:
-    """Return the table under a key of a calibration file; reject other types."""
-    found: dict[str, Any] = _entry(data, key, dict)
-    return found
-
-
-def _number(data: dict[str, Any], key: str, value: Any = None) -> float:
-    """Return the finite number under a key of a calibration file.
-
-    If `value` is given, it is checked instead.
-    """
-    if value is None:
-        if key not in data:
-            raise InputError(
-                f"calibration.{key}",
-                None,
-                "is missing from the calibration file",
-                _WRITE_REMEDY,
-                False,
-            )
-        value = data[key]
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not (number and abs(value) <= sys.float_info.max):  # also refuses NaN
-        raise InputError(f"calibration.{key}", value, "must be a finite number")
-    return float(value)
-
-
-def _stage(data: dict[str, Any], key: str) -> CalibrationStage:
-    """Return the calibration stage stored under a key of a calibration file."""
-    table = _table(data, key)
-    return CalibrationStage(_number(table, "intercept"), _number(table, "slope"))
-
-
-def _range(data: dict[str, Any], key: str) -> tuple[float, float]:
-    """Return minimum and maximum stored under a key of a calibration file."""
-    value = data.get(key)
-    if not isinstance(value, list) or len(value) != 2:
-        raise InputError(f"calibration.{key}", value, "must be a list of minimum and maximum")
-    return _number(data, key, value[0]), _number(data, key, value[1])
-
-
-def _metrics(data: dict[str, Any], key: str) -> MetricTable:
-    """Return the accuracy metrics stored under a key of a calibration file."""
-    groups = _table(data, key)
+def _metrics(groups: CalibrationTable) -> MetricTable:
+    """Return the accuracy metrics stored in a table of a calibration file."""
     return {
-        name: {k: None if v is None else _number(table, k) for k, v in table.items()}
-        for name in groups
-        for table in [_table(groups, name)]
+        name: {
+            k: None if v is None else check_number(k, v)
+            for k, v in groups.value(name, dict).items()
+        }
+        for name in groups.data
     }

@@ -57,9 +57,9 @@ def test_a_fit_finds_what_the_second_map_knows():
     ("content", "told"),
     [
         (None, "an existing file"), ("{", "JSON"), ("[]", "format"),
-        ({"intercept": 0.0, "slope": 1.0}, "contains 'other'"),
+        ({"intercept": 0.0, "slope": 1.0}, "is missing"),
         ({"intercept": 0.0, "slope": -1.0, "other": 0.0}, "0 or more"),
-        ({"intercept": "x", "slope": 1.0, "other": 0.0}, "a number"),
+        ({"intercept": "x", "slope": 1.0, "other": 0.0}, "a finite number"),
         ({"intercept": 0.0, "slope": 1e999, "other": 0.0}, "finite"),
     ],
 )  # fmt: skip

@@ -23,10 +23,10 @@ from lunarsim.onboard.calibration.domain import CalibrationDomain
 from lunarsim.onboard.calibration.ensemble import Ensemble
 from lunarsim.onboard.calibration.gaussian_dem import GAUSSIAN_DEM, UNKNOWN_MODEL_WEIGHT
 from lunarsim.onboard.calibration.scenario_calibration import (
-    CalibrationStage,
     ScenarioCalibration,
     lander_safety_params,
 )
+from lunarsim.onboard.calibration.stage import CalibrationStage
 from tests.map_evidence import LANDER, evidence, rocky
 
 PACKAGED = GAUSSIAN_DEM.packaged

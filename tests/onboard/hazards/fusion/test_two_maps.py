@@ -14,10 +14,10 @@ from lunarsim.onboard.calibration.conservative_probability import ALMOST_CERTAIN
 from lunarsim.onboard.calibration.domain import CalibrationDomain
 from lunarsim.onboard.calibration.gaussian_dem import GAUSSIAN_DEM
 from lunarsim.onboard.calibration.scenario_calibration import (
-    CalibrationStage,
     ScenarioCalibration,
     lander_safety_params,
 )
+from lunarsim.onboard.calibration.stage import CalibrationStage
 from lunarsim.onboard.hazards.fusion.flat_terrain import is_detection_count_plausible
 from lunarsim.onboard.hazards.fusion.fuse import footprint_undetected_ratio, fuse_evidence
 from lunarsim.onboard.hazards.fusion.registration import register_tracks

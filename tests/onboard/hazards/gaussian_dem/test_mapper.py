@@ -16,10 +16,10 @@ from lunarsim.onboard.calibration.calibrated_safety import calibrated_safety
 from lunarsim.onboard.calibration.domain import CalibrationDomain
 from lunarsim.onboard.calibration.gaussian_dem import GAUSSIAN_DEM
 from lunarsim.onboard.calibration.scenario_calibration import (
-    CalibrationStage,
     ScenarioCalibration,
     lander_safety_params,
 )
+from lunarsim.onboard.calibration.stage import CalibrationStage
 from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper, gaussian_dem
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
