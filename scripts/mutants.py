@@ -202,7 +202,7 @@ _TESTS: dict[str, tuple[str, ...]] = {
 
 
 def tests_of(path: str) -> list[str]:
-    """Return the tests of a kernel file: listed in `_TESTS`, or the folders of the same name.
+    """Return the tests of a kernel file: those in `_TESTS`, or of the same folder.
 
     Raises
     ------
