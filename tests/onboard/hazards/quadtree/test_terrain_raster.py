@@ -195,10 +195,10 @@ def test_sites_whose_footprint_holds_a_gap_are_not_evaluated():
     hole = (np.abs(points[:, :2] - 0.8) < 0.5).all(axis=1)
     holed, xy = evidence(points[~hole])
     near = (np.abs(xy - 0.8) < 0.7).all(axis=1)
-    assert whole.is_evaluated[near].all()
-    assert not holed.is_evaluated[near].any()
+    assert whole.observed[near].all()
+    assert not holed.observed[near].any()
     away = (np.abs(xy - 0.8) > 3.0).any(axis=1)
-    assert (holed.is_evaluated == whole.is_evaluated)[away].all()
+    assert (holed.observed == whole.observed)[away].all()
 
 
 def test_a_footprint_is_as_thin_as_its_thinnest_metre():
@@ -246,7 +246,7 @@ def test_a_rock_and_a_slope_doom_a_site_and_a_hole_does_not():
     for name, (height, doomed) in grounds.items():
         found, place = evidence(np.column_stack((xy, 100.0 + height + np.zeros(len(xy)))))
         middle = np.argmin(np.abs(place).sum(axis=1))
-        assert found.is_evaluated[middle]
+        assert found.observed[middle]
         over = max(found.slope[middle], found.roughness[middle]) > 1.0
         assert over == (name != "level"), name
         assert found.may_be_unsafe[middle] == doomed, name
