@@ -192,7 +192,7 @@ OWN = {
         ([GOOD, "--set", "vehicle.thrust_max_n=2000"], ["vehicle.thrust_max_n", "cannot hover"]),
         ([GOOD, "--set", "gravity_m_s2=0.4"], ["vehicle.thrust_min_n", "cannot descend"]),
         (["loop.toml"], ["scenario: ", "got 'loop.toml'", "an existing TOML file"]),
-        ([GOOD, "--set", "policy=safset"], ["must be a known kind or", "Did you mean 'safest'?"]),
+        ([GOOD, "--set", "policy=safset"], ["must be a known name, or", "Did you mean 'safest'?"]),
         ([GOOD, "--set", "mappers.dem.calibration_path=gone.json"], ["calibration_path", "gone"]),
         (["wrong.tml"], ["scenario: ", "got 'wrong.tml'", "Did you mean 'wrong.toml'"]),
     ],

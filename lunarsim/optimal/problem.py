@@ -34,7 +34,7 @@ class Cone:
     drop: float = 0.0
 
     def __post_init__(self) -> None:
-        expected = "must be an array (n, 3) of one or more finite normals"
+        expected = "must be an array of one or more normals, shape (n, 3)"
         rows = len(self.normals) if np.ndim(self.normals) == 2 else 0
         object.__setattr__(self, "normals", numbers("cone", self.normals, (rows, 3), expected))
         if rows == 0:
@@ -110,7 +110,7 @@ class Descent:
 
     def __post_init__(self) -> None:
         for name in ("position", "velocity", "end_position", "end_velocity"):
-            value = numbers(name, getattr(self, name), (3,), "must be three finite coordinates")
+            value = numbers(name, getattr(self, name), (3,), "must be three finite numbers")
             for i, component in enumerate(value):
                 if abs(component) > LARGEST:
                     raise InputError(

@@ -148,7 +148,7 @@ def test_a_kind_without_keys_says_so():
     with pytest.raises(InputError) as caught:
         Scenario.from_dict({"policy": {"kind": "no-divert", "boldness": 1.0}})
     assert caught.value.field == "policy.boldness"
-    assert caught.value.remedy == "There are no known names."
+    assert caught.value.remedy == "Kind 'no-divert' has no keys."
 
 
 def test_an_unknown_key_names_the_tables_that_have_it():

@@ -157,7 +157,7 @@ class RigidDescent:
         if not isinstance(self.lander, Lander):
             raise InputError("optimal.lander", type(self.lander).__name__, "must be a Lander")
         for name in ("end_position", "end_velocity"):
-            value = numbers(name, getattr(self, name), (3,), "must be three finite coordinates")
+            value = numbers(name, getattr(self, name), (3,), "must be three finite numbers")
             object.__setattr__(self, name, value)
         for name, given in (("thrust_min", self.lander.thrust_min),
                             ("thrust_max", self.lander.thrust_max)):  # fmt: skip
