@@ -35,7 +35,7 @@ OF_A_SCENARIO = [
     (["short.toml"], ["start.position_m: ", "got [-900, 0]", "a list of 3 values in m"]),
     (["chosen.toml"], ["policy: ", "got 'safest'", 'a table [policy] with kind = "safest"']),
     (["wide.toml"], ["scenario", "wide.toml", "a text file in UTF-8"]),
-    (["words.toml"], ["vehicle.dry_mass_kg: ", "got '1100'", "a plain number in kg"]),
+    (["words.toml"], ["vehicle.dry_mass_kg: ", "got '1100'", "Delete the quotes."]),
     (
         [GOOD, "--set", "start.position_m=5"],
         ["--set start.position_m: ", "got 5", "a list of 3 values"],

@@ -152,7 +152,7 @@ class Descent:
                 "optimal.thrust_slack", self.thrust_slack, "must be 0 if `region` is more than 0"
             )
         if not (self.cone is None or isinstance(self.cone, Cone)):
-            raise InputError("optimal.cone", type(self.cone).__name__, "must be a Cone or None")
+            raise InputError("optimal.cone", type(self.cone), "must be a Cone or None")
         for name in ("max_tilt", "glideslope", "max_final_tilt"):
             angle = getattr(self, name)
             if angle is not None and not (is_number(angle) and 0.0 <= angle < 0.5 * np.pi):

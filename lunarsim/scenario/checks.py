@@ -258,12 +258,12 @@ def _check_sensors(
         if name not in sensors:
             raise InputError(
                 key, name, f"{wanted}, but no sensor is named {name!r}",
-                f"Sensors: {known}.", show_value=False,
+                f"Sensors and their kinds: {known}.", show_value=False,
             )  # fmt: skip
         if not issubclass(sensors[name].measurement_type, mapper.accepts):
             raise InputError(
                 key, name, f"{wanted}, but the sensor {name!r} is of kind {tables[name].kind!r}",
-                f"Sensors: {known}.", show_value=False,
+                f"Sensors and their kinds: {known}.", show_value=False,
             )  # fmt: skip
 
 
@@ -302,7 +302,7 @@ def _check_navigation(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
             raise InputError(
                 "navigation.kind", scenario.navigation.kind,
                 f"needs a sensor {_sensor_kinds_for(wanted)}",
-                "Add the sensor as [sensors.NAME].",
+                "Add the sensor as a table [sensors.NAME].",
             )  # fmt: skip
     if scenario.far_terrain is not None and scenario.moon is None:
         raise InputError(
@@ -331,7 +331,7 @@ def _check_control(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
         raise InputError(
             "control.kind", scenario.control.kind,
             "needs a sensor of kind 'imu'",
-            "Add the sensor as [sensors.NAME], or use control of kind 'ideal'.",
+            "Add the sensor as a table [sensors.NAME], or use control of kind 'ideal'.",
         )  # fmt: skip
     step = scenario.simulation.make().step
     frequency = getattr(scenario.control.make(), "frequency", 0.0)

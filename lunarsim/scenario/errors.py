@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from math import isfinite
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
 
@@ -109,7 +110,24 @@ def input_error(
             return InputError(field, first["input"], wanted)
     wants_number = unit and first["type"].endswith(("_type", "_parsing"))
     remedy = f"Give a plain number {_unit_phrase(unit)}." if wants_number else ""
+    if _is_quoted(first["input"], first["type"]):
+        remedy = "Delete the quotes."
     return InputError(field, first["input"], problem, remedy, first["type"] != "missing")
+
+
+def _is_quoted(value: Any, error_type: str) -> bool:
+    """Return whether a text would have the type of its key without its quotes.
+
+    `error_type` is pydantic's type of the error.
+    """
+    if error_type == "bool_type":
+        return value in ("true", "false")
+    if error_type not in ("float_type", "int_type") or not isinstance(value, str):
+        return False
+    try:
+        return isfinite(float(value) if error_type == "float_type" else int(value))
+    except (ValueError, OverflowError):
+        return False
 
 
 def _key_text(step: int | str) -> str:

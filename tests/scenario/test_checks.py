@@ -48,11 +48,11 @@ WRONG = {
     "mapper's sensor is missing": (
         {"mappers": {"dem": {"kind": "gaussian-dem", "sensor": "flush"}}},
         "mappers.dem.sensor", "flush",
-        "Sensors: imu (imu), altimeter (radar-altimeter), velocimeter (velocimeter), ",
+        "Sensors and their kinds: imu (imu), altimeter (radar-altimeter), velocimeter",
     ),
     "mapper's sensor is missing, and there is none at all": (
         {"sensors": {}, "tasking": {}},
-        "mappers.dem.sensor", "flash", "Sensors: none.",
+        "mappers.dem.sensor", "flash", "Sensors and their kinds: none.",
     ),
     "mapper's sensor is of another kind": (
         {"mappers": {"dem": {"kind": "gaussian-dem", "sensor": "imu"}}},
