@@ -278,10 +278,10 @@ def _explain_denial(folder: Path, error: OSError) -> str:
     return f"{folder} does not allow this ({error.strerror}). Choose another folder."
 
 
-def suggestion(name: str, known: Iterable[str]) -> str:
+def suggestion(name: str, known: Iterable[str], noun: str = "names") -> str:
     """Return a sentence with the known name closest to a mistyped name.
 
-    If no name is close, the sentence lists all known names.
+    If no name is close, the sentence lists all known names. `noun` is the plural noun for them.
 
     Examples
     --------
@@ -292,4 +292,4 @@ def suggestion(name: str, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     if close:
         return f"Did you mean {close[0]!r}?"
-    return f"Known names: {', '.join(known)}." if known else "There are no known names."
+    return f"Known {noun}: {', '.join(known)}." if known else f"There are no known {noun}."

@@ -35,7 +35,7 @@ OF_A_SCENARIO = [
     (["short.toml"], ["start.position_m: ", "got [-900, 0]", "a list of 3 values in m"]),
     (["chosen.toml"], ["policy: ", "got 'safest'", 'a table [policy] with kind = "safest"']),
     (["wide.toml"], ["scenario", "wide.toml", "a text file in UTF-8"]),
-    (["words.toml"], ["vehicle.dry_mass_kg: ", "got '1100'", "a plain number in kg"]),
+    (["words.toml"], ["vehicle.dry_mass_kg: ", "got '1100'", "Delete the quotes."]),
     (
         [GOOD, "--set", "start.position_m=5"],
         ["--set start.position_m: ", "got 5", "a list of 3 values"],
@@ -192,7 +192,7 @@ OWN = {
         ([GOOD, "--set", "vehicle.thrust_max_n=2000"], ["vehicle.thrust_max_n", "cannot hover"]),
         ([GOOD, "--set", "gravity_m_s2=0.4"], ["vehicle.thrust_min_n", "cannot descend"]),
         (["loop.toml"], ["scenario: ", "got 'loop.toml'", "an existing TOML file"]),
-        ([GOOD, "--set", "policy=safset"], ["must be a known kind or", "Did you mean 'safest'?"]),
+        ([GOOD, "--set", "policy=safset"], ["must be a known name, or", "Did you mean 'safest'?"]),
         ([GOOD, "--set", "mappers.dem.calibration_path=gone.json"], ["calibration_path", "gone"]),
         (["wrong.tml"], ["scenario: ", "got 'wrong.tml'", "Did you mean 'wrong.toml'"]),
     ],

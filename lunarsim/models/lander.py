@@ -128,7 +128,7 @@ class Lander:
                 raise InputError(
                     f"vehicle.{name}",
                     getattr(self, name),
-                    "must be three moments, none larger than the sum of the other two",
+                    "must be three principal moments, none larger than the sum of the other two",
                 )
         if self.pad_diameter >= self.leg_radius:
             raise InputError(

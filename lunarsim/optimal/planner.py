@@ -110,7 +110,7 @@ class Planner:
         if log_mass is None:
             log_mass = self._guess_log_mass(descent, duration)
         else:
-            expected = f"must be {self.intervals} finite numbers"
+            expected = f"must be {self.intervals} finite numbers, one per interval"
             log_mass = numbers("log_mass", log_mass, (self.intervals,), expected)
         path = self._solve(descent, duration, log_mass, half_spaces, nearest)
         if path is not None and np.abs(path.log_mass - log_mass).max() > _MAX_LOG_MASS_ERROR:

@@ -34,7 +34,7 @@ class Cone:
     drop: float = 0.0
 
     def __post_init__(self) -> None:
-        expected = "must be an array (n, 3) of one or more finite normals"
+        expected = "must be an array of one or more normals, shape (n, 3)"
         rows = len(self.normals) if np.ndim(self.normals) == 2 else 0
         object.__setattr__(self, "normals", numbers("cone", self.normals, (rows, 3), expected))
         if rows == 0:
@@ -110,7 +110,7 @@ class Descent:
 
     def __post_init__(self) -> None:
         for name in ("position", "velocity", "end_position", "end_velocity"):
-            value = numbers(name, getattr(self, name), (3,), "must be three finite coordinates")
+            value = numbers(name, getattr(self, name), (3,), "must be three finite numbers")
             for i, component in enumerate(value):
                 if abs(component) > LARGEST:
                     raise InputError(
@@ -152,7 +152,7 @@ class Descent:
                 "optimal.thrust_slack", self.thrust_slack, "must be 0 if `region` is more than 0"
             )
         if not (self.cone is None or isinstance(self.cone, Cone)):
-            raise InputError("optimal.cone", type(self.cone).__name__, "must be a Cone or None")
+            raise InputError("optimal.cone", type(self.cone), "must be a Cone or None")
         for name in ("max_tilt", "glideslope", "max_final_tilt"):
             angle = getattr(self, name)
             if angle is not None and not (is_number(angle) and 0.0 <= angle < 0.5 * np.pi):

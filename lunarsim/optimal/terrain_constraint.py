@@ -52,10 +52,12 @@ class TerrainRaster:
 
     def __post_init__(self) -> None:
         if not isinstance(self.grid, Grid):
-            raise InputError("optimal.grid", type(self.grid).__name__, "must be a Grid")
+            raise InputError("optimal.grid", type(self.grid), "must be a Grid")
         if np.shape(self.elevation) != self.grid.shape:
             raise InputError(
-                "optimal.elevation", np.shape(self.elevation), f"must have shape {self.grid.shape}"
+                "optimal.elevation",
+                np.shape(self.elevation),
+                f"must have one value per grid point, shape {self.grid.shape}",
             )
         kind = np.asarray(self.elevation).dtype
         if kind.kind not in "fiu":
@@ -66,7 +68,8 @@ class TerrainRaster:
             raise InputError(
                 "optimal.elevation",
                 missing,
-                f"must be finite everywhere, but is not at {missing} of its points",
+                f"must be finite, but the number of its NaN or infinite values is {missing}",
+                "Replace these values.",
                 show_value=False,
             )
 
@@ -110,7 +113,7 @@ class TerrainRaster:
             180 deg), or the clearance is invalid.
         """
         sectors = count("sectors", sectors, 3)
-        end = numbers("end_position", end, (3,), "must be three finite coordinates")
+        end = numbers("end_position", end, (3,), "must be three finite numbers")
         _check_clearance(clearance)
         offsets = self.posts - end
         distance = np.hypot(offsets[:, 0], offsets[:, 1])
@@ -143,7 +146,8 @@ class TerrainRaster:
             raise InputError(
                 "optimal.terrain",
                 self.grid.extent,
-                f"must cover the path, which passes the point ({at[0]:.1f}, {at[1]:.1f}) m",
+                f"must cover the path, but the path leaves it at ({at[0]:.1f}, {at[1]:.1f}) m",
+                "Use a larger terrain.",
                 show_value=False,
             )
         return float((points[:, 2] - height).min())
@@ -225,7 +229,7 @@ def minimize_propellant_over_terrain(
         If no path above the terrain is found.
     """
     if not isinstance(terrain, TerrainRaster):
-        raise InputError("optimal.terrain", type(terrain).__name__, "must be a TerrainRaster")
+        raise InputError("optimal.terrain", type(terrain), "must be a TerrainRaster")
     _check_clearance(clearance)
     rounds, sectors = count("rounds", rounds, 1), count("sectors", sectors, 3)
     _check_ends(descent, terrain, clearance)
@@ -287,12 +291,17 @@ def _check_ends(descent: Descent, terrain: TerrainRaster, clearance: float) -> N
         at = getattr(descent, name)
         height = float(terrain.height(at[None])[0])
         if np.isnan(height):
-            raise InputError(f"optimal.{name}", at.tolist(), "must be on the grid of the terrain")
+            raise InputError(
+                f"optimal.{name}",
+                at.tolist(),
+                "must lie within the terrain",
+                "Use a larger terrain.",
+            )
         if not at[2] >= height + clearance - 1e-9:
             raise InputError(
                 f"optimal.{name}", at.tolist(),
-                f"must be at least {clearance} m above the terrain, but is {at[2] - height:.2f} "
-                "m above",
+                f"must be at least {clearance} m above the terrain, but its height above the "
+                f"terrain is {at[2] - height:.2f} m",
                 show_value=False,
             )  # fmt: skip
 

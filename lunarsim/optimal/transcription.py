@@ -68,7 +68,7 @@ class ProgramStructure:
         if self.intervals < 4:
             raise InputError("optimal.intervals", self.intervals, "must be 4 or more")
         if self.free and self.thrust_slack:
-            raise InputError("optimal.thrust_slack", True, "must be False if the end is a region")
+            raise InputError("optimal.thrust_slack", True, "must be False if `free` is True")
 
 
 @dataclass(frozen=True)
@@ -100,8 +100,9 @@ class HalfSpaces:
     def __post_init__(self) -> None:
         shape = np.shape(self.normals) if np.ndim(self.normals) == 3 else (1, 1, 3)
         for name, wanted in (("normals", (*shape[:2], 3)), ("offsets", shape[:2])):
-            found = numbers("half_spaces", getattr(self, name), wanted, f"must have finite {name}, "
-                            "normals (N, planes, 3) and offsets (N, planes)")  # fmt: skip
+            expected = "must have normals of shape (intervals, planes, 3) and offsets of shape "
+            expected += "(intervals, planes)"
+            found = numbers(f"half_spaces.{name}", getattr(self, name), wanted, expected)
             object.__setattr__(self, name, found)
 
     @classmethod

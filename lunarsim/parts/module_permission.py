@@ -33,7 +33,7 @@ def check_allowed(field: str, kind: str, module: str) -> None:
         If the module is not allowed; `field` is the setting that names it, `kind` its value.
     """
     if not _MODULE_PATTERN.fullmatch(module):
-        raise InputError(field, kind, 'must be a known kind or "module:Class"')
+        raise InputError(field, kind, 'must be a known name, or a class as "module:Class"')
     if not any(module == name or module.startswith(f"{name}.") for name in allowed_modules()):
         raise InputError(
             field, kind,

@@ -205,7 +205,7 @@ def check_direction(field: str, vector: Any) -> None:
         If `vector` is not a unit vector; the error names `field`.
     """
     if np.shape(vector) != (3,) or not np.isclose(np.linalg.norm(vector), 1.0, atol=1e-6):
-        raise InputError(field, vector, "must be three numbers that form a vector of length 1")
+        raise InputError(field, vector, "must be a unit vector of three numbers")
 
 
 def check_bounds(part: Any, table: str) -> None:
@@ -238,5 +238,9 @@ def check_bounds(part: Any, table: str) -> None:
             if isinstance(one, Real) and not q.allows(float(one)):
                 index = f"[{i}]" if isinstance(given, tuple) else ""
                 expected = q.expected if np.isfinite(float(one)) else "finite"
-                raise InputError(f"{table}.{f.name}{index}", one, f"must be {expected}")
+                # Objects created in Python take angles in radians.
+                si = {"deg": "rad", "deg/s": "rad/s", "mrad": "rad"}.get(q.unit)
+                remedy = f"Give {si} in Python; this message is in {q.unit}." if si else ""
+                shown = float(f"{one:.10g}") if si else one
+                raise InputError(f"{table}.{f.name}{index}", shown, f"must be {expected}", remedy)
     check_types(table, part)

@@ -186,7 +186,8 @@ def kinds(contract: str) -> dict[str, str]:
             raise InputError(
                 f"entry point lunarsim.{contract}",
                 point.name,
-                f"must have another name than {found[point.name]}",
+                "must have a unique name",
+                f"Rename {point.value}, because {found[point.name]} has this name.",
             )
         found[point.name] = point.value
     return found
@@ -274,7 +275,10 @@ def _resolve(contract: str, kind: str, field: str) -> type:
     where = kind if ":" in kind else known.get(kind)
     if where is None:
         raise InputError(
-            field, kind, 'must be a known kind or "module:Class"', suggestion(kind, known)
+            field,
+            kind,
+            'must be a known name, or a class as "module:Class"',
+            suggestion(kind, known),
         )
     module, _, name = where.partition(":")
     try:
@@ -283,26 +287,40 @@ def _resolve(contract: str, kind: str, field: str) -> type:
         raise
     except BaseException as error:  # a custom module can raise anything, including SystemExit
         message = str(error).split("\n")[0]
+        is_missing = isinstance(error, ImportError | AttributeError)
+        remedy = IMPORT_REMEDY if is_missing else "Correct this error in the module."
         raise InputError(
             field, kind,
-            f"must name a class that can be imported ({type(error).__name__}: {message})",
-            IMPORT_REMEDY,
+            "must name a class that can be imported",
+            f"Python reports {type(error).__name__}: {message}. {remedy}",
         ) from error  # fmt: skip
     if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
-        raise InputError(field, where, "must name a dataclass")
+        raise InputError(
+            field, where, "must name a dataclass", "Decorate it with @dataclass(frozen=True)."
+        )
     if not found.__dataclass_params__.frozen:  # type: ignore[attr-defined]
-        raise InputError(field, where, "must name a frozen dataclass")
+        raise InputError(
+            field,
+            where,
+            "must name a frozen dataclass",
+            "Decorate it with @dataclass(frozen=True).",
+        )
     names = {f.name for f in dataclasses.fields(found)}
     missing = [
         n for n in CONTRACTS[contract].required_members if n not in names and not hasattr(found, n)
     ]
     if missing:
         raise InputError(
-            field, where, f"must name a class with {missing[0]!r}, which every {contract} needs"
+            field,
+            where,
+            f"must name a class that defines {missing[0]!r}, as every {contract} component must",
         )
     reserved = names & RESERVED
     if reserved:
         raise InputError(
-            field, where, f"must name a class without the reserved field {min(reserved)!r}"
+            field,
+            where,
+            f"must name a class without a field {min(reserved)!r}, which is a reserved name",
+            "Rename the field.",
         )
     return found

@@ -40,8 +40,9 @@ class PartSettings(BaseModel):
         except (TypeError, ValueError) as error:
             message = str(error).split("\n")[0]
             raise InputError(
-                "kind", cls.__name__, f"must accept the values of its table ({message})"
-            ) from error
+                "kind", cls.__name__, "must name a class that accepts the values of its table",
+                f"The class raises {type(error).__name__}: {message}.",
+            ) from error  # fmt: skip
 
     def _with_scenario_key(
         self, error: InputError, keys: dict[str, tuple[str, Quantity | None]]

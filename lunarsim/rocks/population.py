@@ -72,7 +72,7 @@ class RockPopulation(RockModel):
             raise InputError(
                 "min_diameter",
                 self.min_diameter,
-                f"must be less than max_diameter_m ({self.max_diameter})",
+                f"must be less than max_diameter_m, which is {self.max_diameter:g} m",
             )
 
     @property

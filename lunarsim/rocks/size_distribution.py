@@ -82,7 +82,7 @@ def sample_diameters(
         raise InputError(
             "rocks.min_diameter_m",
             minimum,
-            f"must be above 0 and less than max_diameter_m ({maximum})",
+            f"must be positive and less than max_diameter_m, which is {maximum:g} m",
         )
     # Linear interpolation in (log D, log N) of this table has an error below 1e-6.
     table = np.geomspace(minimum, maximum, 4096)

@@ -55,9 +55,8 @@ def with_values(scenario: Scenario, values: Mapping[str, Any], where: str) -> Sc
         steps, new = path_of(key, value), value
         if not all(steps):
             raise InputError(
-                field, value, "must be a scenario key such as rocks.cover, without empty parts",
-                show_value=False,
-            )  # fmt: skip
+                where, key, "must name a scenario key without empty parts, such as rocks.cover"
+            )
         if len(steps) > 1 and steps[-1].isdigit():
             steps, index = steps[:-1], int(steps[-1])
             current = nested_value(change, steps) or nested_value(data, steps)
@@ -134,7 +133,9 @@ def _parse_value(change: str, value: str) -> Any:
             ) from None  # fmt: skip
         return value
     if list(found) != ["value"]:
-        raise InputError(_OPTION, change, "must have one key and one value")
+        raise InputError(
+            _OPTION, change, "must have one key and one value", "Repeat --set for each key."
+        )
     return found["value"]
 
 

@@ -225,7 +225,7 @@ def _check_mappers(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
             raise InputError(
                 "navigation.kind", scenario.navigation.kind,
                 f"must be {_kinds_of('navigation', needed)}, because {field} (kind {part.kind!r}) "
-                "adds states to this navigation filter",
+                "works only with this navigation filter",
             )  # fmt: skip
 
 
@@ -258,12 +258,12 @@ def _check_sensors(
         if name not in sensors:
             raise InputError(
                 key, name, f"{wanted}, but no sensor is named {name!r}",
-                f"Sensors: {known}.", show_value=False,
+                f"Sensors and their kinds: {known}.", show_value=False,
             )  # fmt: skip
         if not issubclass(sensors[name].measurement_type, mapper.accepts):
             raise InputError(
                 key, name, f"{wanted}, but the sensor {name!r} is of kind {tables[name].kind!r}",
-                f"Sensors: {known}.", show_value=False,
+                f"Sensors and their kinds: {known}.", show_value=False,
             )  # fmt: skip
 
 
@@ -302,7 +302,7 @@ def _check_navigation(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
             raise InputError(
                 "navigation.kind", scenario.navigation.kind,
                 f"needs a sensor {_sensor_kinds_for(wanted)}",
-                "Add the sensor as [sensors.NAME].",
+                "Add the sensor as a table [sensors.NAME].",
             )  # fmt: skip
     if scenario.far_terrain is not None and scenario.moon is None:
         raise InputError(
@@ -331,7 +331,7 @@ def _check_control(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
         raise InputError(
             "control.kind", scenario.control.kind,
             "needs a sensor of kind 'imu'",
-            "Add the sensor as [sensors.NAME], or use control of kind 'ideal'.",
+            "Add the sensor as a table [sensors.NAME], or use control of kind 'ideal'.",
         )  # fmt: skip
     step = scenario.simulation.make().step
     frequency = getattr(scenario.control.make(), "frequency", 0.0)
@@ -342,8 +342,8 @@ def _check_control(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
         most = min(0.15 / step, 0.2 / (damping * step) if damping else np.inf)
         raise InputError(
             "control.frequency_rad_s", frequency,
-            f"must be at most {most:g} if control.damping is {damping:g} and simulation.step_s is "
-            f"{step:g}",
+            f"must be at most {most:g} rad/s for a stable attitude loop with control.damping = "
+            f"{damping:g} and simulation.step_s = {step:g} s",
         )  # fmt: skip
 
 
@@ -391,8 +391,8 @@ def _check_actuators(scenario: CheckedTables) -> None:
     if gain * period > 0.6:
         raise InputError(
             "control.frequency_rad_s", control.frequency,
-            f"must be at most {0.3 / (control.damping * period):g} if control.damping is "
-            f"{control.damping:g} and control.period_s is {period:g}",
+            f"must be at most {0.3 / (control.damping * period):g} rad/s for a stable attitude "
+            f"loop with control.damping = {control.damping:g} and control.period_s = {period:g} s",
         )  # fmt: skip
 
 
@@ -428,8 +428,8 @@ def _check_tasking(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
             if key.endswith("_hz") and rate * cycle > 1.0 + 1e-9:
                 raise InputError(
                     f"tasking.{name}.{key}", rate,
-                    f"must be at most {1.0 / cycle:g}, one measurement per control cycle "
-                    f"(simulation.cycle_s = {cycle:g})",
+                    f"must be at most {1.0 / cycle:g} Hz, one measurement per control cycle "
+                    f"(simulation.cycle_s = {cycle:g} s)",
                 )  # fmt: skip
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from math import isfinite
 from types import UnionType
-from typing import Any, Union, get_args, get_origin
+from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import ValidationError
 
@@ -38,6 +39,8 @@ _PROBLEMS = {
     "too_long": "must have at most {max_length} values, not {actual_length}",
     "extra_forbidden": "is an unknown key",
 }
+# Plural nouns for the elements of a list, by type.
+_ELEMENT_WORDS = {float: "numbers", int: "integers", str: "texts in quotes"}
 # Maximum number of characters of a list of known keys.
 _MAX_HINT_LENGTH = 120
 # Units of scenario values whose symbol could be misread, spelled out.
@@ -95,13 +98,36 @@ def input_error(
                 field, first["input"], f"is not a key of kind {kind!r}",
                 f"Delete the key, or use it with {path}.kind = {whose}.", False,
             )  # fmt: skip
-        return unknown_key_error(field, first["input"], _other_table(key) or key_hint(key, keys))
+        without_keys = f"Kind {kind!r} has no keys." if contract and not keys else ""
+        remedy = _other_table(key) or without_keys or key_hint(key, keys)
+        return unknown_key_error(field, first["input"], remedy)
     problem = plain_problem(first)
+    if first["type"] in ("tuple_type", "list_type"):
+        elements = _element_words(table, key, len(first["loc"]) - depth - 1)
+        if elements:
+            wanted = f"must be a list of {elements}"
+            wanted += f" in {_SPELLED_UNITS.get(unit, unit)}" if unit else ""
+            return InputError(field, first["input"], wanted)
     wants_number = unit and first["type"].endswith(("_type", "_parsing"))
     remedy = f"Give a plain number {_unit_phrase(unit)}." if wants_number else ""
-    if wants_number and first["type"] in ("tuple_type", "list_type"):
-        remedy = f"Give a list of numbers {_unit_phrase(unit)}."
+    if _is_quoted(first["input"], first["type"]):
+        remedy = "Delete the quotes."
     return InputError(field, first["input"], problem, remedy, first["type"] != "missing")
+
+
+def _is_quoted(value: Any, error_type: str) -> bool:
+    """Return whether a text would have the type of its key without its quotes.
+
+    `error_type` is pydantic's type of the error.
+    """
+    if error_type == "bool_type":
+        return value in ("true", "false")
+    if error_type not in ("float_type", "int_type") or not isinstance(value, str):
+        return False
+    try:
+        return isfinite(float(value) if error_type == "float_type" else int(value))
+    except (ValueError, OverflowError):
+        return False
 
 
 def _key_text(step: int | str) -> str:
@@ -125,7 +151,7 @@ def plain_problem(error: Any) -> str:
 
 def key_hint(key: str, known: Iterable[str]) -> str:
     """Return a remedy for an unknown key: the closest key, or all keys."""
-    hint = suggestion(key, known)
+    hint = suggestion(key, known, "keys")
     if len(hint) > _MAX_HINT_LENGTH:
         return "All keys are listed by `lunarsim scenario reference`."
     return hint
@@ -192,6 +218,25 @@ def _elements(model: type[PartSettings], key: str, depth: int) -> tuple[Any, ...
         if get_origin(one) is tuple and Ellipsis not in get_args(one):
             return get_args(one)
     return ()
+
+
+def _element_words(model: type[PartSettings], key: str, depth: int) -> str:
+    """Return a noun for the elements of a list of any length; "" if not a list.
+
+    `depth` is the number of indices from the value to the list.
+    """
+    found = model.model_fields.get(key)
+    kind: Any = None if found is None else found.annotation
+    for _ in range(depth):
+        kind = get_args(kind)[0] if get_origin(kind) is tuple else None
+    for one in get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,):
+        if get_origin(one) is tuple and Ellipsis in get_args(one):
+            element = get_args(one)[0]
+            if get_origin(element) is tuple and Ellipsis not in get_args(element):
+                return f"lists of {len(get_args(element))} numbers"
+            base = get_args(element)[0] if get_origin(element) is Annotated else element
+            return _ELEMENT_WORDS.get(base, "")
+    return ""
 
 
 def _table_at(

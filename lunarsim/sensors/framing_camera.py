@@ -122,7 +122,7 @@ class FramingCamera:
         if self.exposure_min > self.exposure_max:
             raise InputError(
                 "exposure_min", self.exposure_min,
-                f"must be at most exposure_max_s, which is {self.exposure_max:g}",
+                f"must be at most exposure_max_s, which is {self.exposure_max:g} s",
             )  # fmt: skip
         try:
             self.camera()

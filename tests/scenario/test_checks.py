@@ -48,11 +48,11 @@ WRONG = {
     "mapper's sensor is missing": (
         {"mappers": {"dem": {"kind": "gaussian-dem", "sensor": "flush"}}},
         "mappers.dem.sensor", "flush",
-        "Sensors: imu (imu), altimeter (radar-altimeter), velocimeter (velocimeter), ",
+        "Sensors and their kinds: imu (imu), altimeter (radar-altimeter), velocimeter",
     ),
     "mapper's sensor is missing, and there is none at all": (
         {"sensors": {}, "tasking": {}},
-        "mappers.dem.sensor", "flash", "Sensors: none.",
+        "mappers.dem.sensor", "flash", "Sensors and their kinds: none.",
     ),
     "mapper's sensor is of another kind": (
         {"mappers": {"dem": {"kind": "gaussian-dem", "sensor": "imu"}}},
@@ -117,7 +117,7 @@ WRONG = {
     ),
     "control too fast for its clock": (
         {"control": {"frequency_rad_s": 26.0}},
-        "control.frequency_rad_s", 26.0, "at most 15 if control.damping is 0.9",
+        "control.frequency_rad_s", 26.0, "at most 15 rad/s for a stable attitude loop",
     ),
     "control too fast for a slower clock": (
         {"simulation": {"step_s": 0.1}},
@@ -137,7 +137,7 @@ WRONG = {
     ),
     "more measurements than cycles": (
         {"tasking": {"flash": {"kind": "periodic", "rate_hz": 10.5}}},
-        "tasking.flash.rate_hz", 10.5, "must be at most 10, one measurement per control cycle",
+        "tasking.flash.rate_hz", 10.5, "must be at most 10 Hz, one measurement per control cycle",
     ),
     "more measurements on the site than cycles": (
         {

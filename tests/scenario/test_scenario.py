@@ -78,7 +78,7 @@ def test_relative_paths_start_from_the_files_folder(tmp_path):
         ),
         ({"start": {"position_m": [0.0, 1.0]}}, "start.position_m", "a list of 3 values in m"),
         ({"start": {"position_m": [0.0, 1.0, 2.0, 3.0]}}, "start.position_m", "a list of 3 values"),
-        ({"start": {"position_m": [0.0, 1.0, "2"]}}, "start.position_m[2]", "a plain number in m"),
+        ({"start": {"position_m": [0.0, 1.0, "2"]}}, "start.position_m[2]", "Delete the quotes."),
         ({"terrain": {"kind": "dtm", "path": "x", "dtm_window": [1]}}, "terrain.dtm_window", "4"),
         ({"policy": "safest"}, "policy", 'a table [policy] with kind = "safest"'),
         ({"control": {"kind": "magic"}}, "control.kind", "Known names: ideal, pd"),
@@ -148,7 +148,7 @@ def test_a_kind_without_keys_says_so():
     with pytest.raises(InputError) as caught:
         Scenario.from_dict({"policy": {"kind": "no-divert", "boldness": 1.0}})
     assert caught.value.field == "policy.boldness"
-    assert caught.value.remedy == "There are no known names."
+    assert caught.value.remedy == "Kind 'no-divert' has no keys."
 
 
 def test_an_unknown_key_names_the_tables_that_have_it():

@@ -104,7 +104,7 @@ class Braking:
         if self.end_time_to_go >= self.time_to_go:
             raise InputError(
                 "braking.end_time_to_go_s", self.end_time_to_go,
-                f"must be less than time_to_go_s, which is {self.time_to_go:g}",
+                f"must be less than time_to_go_s, which is {self.time_to_go:g} s",
             )  # fmt: skip
         self.law_settings()
 

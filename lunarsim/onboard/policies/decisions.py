@@ -69,5 +69,5 @@ class DecisionSettings:
             raise InputError(
                 "last_altitude_m",
                 self.last_altitude,
-                f"must be less than first_altitude_m, which is {self.first_altitude:g}",
+                f"must be less than first_altitude_m, which is {self.first_altitude:g} m",
             )

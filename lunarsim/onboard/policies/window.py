@@ -67,7 +67,7 @@ class CrewWindow:
             raise InputError(
                 "window.upper_edge_deg",
                 round(float(np.rad2deg(self.upper_edge)), 6),
-                f"must be less than lower_edge_deg, which is {np.rad2deg(self.lower_edge):g}",
+                f"must be less than lower_edge_deg, which is {np.rad2deg(self.lower_edge):g} deg",
             )
 
     def angles(self, estimate: Estimate, sites: ArrayLike) -> tuple[Array, Array]:

@@ -110,7 +110,7 @@ class Periodic:
         if not self.last_altitude < self.first_altitude:
             raise InputError(
                 "last_altitude_m", self.last_altitude,
-                f"must be less than first_altitude_m, which is {self.first_altitude:g}",
+                f"must be less than first_altitude_m, which is {self.first_altitude:g} m",
             )  # fmt: skip
 
     @property

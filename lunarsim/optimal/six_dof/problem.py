@@ -155,25 +155,21 @@ class RigidDescent:
 
     def __post_init__(self) -> None:
         if not isinstance(self.lander, Lander):
-            raise InputError("optimal.lander", type(self.lander).__name__, "must be a Lander")
+            raise InputError("optimal.lander", type(self.lander), "must be a Lander")
         for name in ("end_position", "end_velocity"):
-            value = numbers(name, getattr(self, name), (3,), "must be three finite coordinates")
+            value = numbers(name, getattr(self, name), (3,), "must be three finite numbers")
             object.__setattr__(self, name, value)
         for name, given in (("thrust_min", self.lander.thrust_min),
                             ("thrust_max", self.lander.thrust_max)):  # fmt: skip
             if getattr(self, name) is None:
                 object.__setattr__(self, name, given)
         if not (self.sight is None or isinstance(self.sight, SiteVisibility)):
-            raise InputError(
-                "optimal.sight", type(self.sight).__name__, "must be a SiteVisibility or None"
-            )
+            raise InputError("optimal.sight", type(self.sight), "must be a SiteVisibility or None")
         self._check_figures()
         try:
             _ = self.start_vector
         except (AttributeError, TypeError, ValueError):
-            raise InputError(
-                "optimal.start", type(self.start).__name__, "must be a State"
-            ) from None
+            raise InputError("optimal.start", type(self.start), "must be a State") from None
         for name, shape in _START_SHAPES.items():
             words = f"must be {shape[0]} finite numbers" if shape else "must be a finite number"
             numbers(f"start.{name}", getattr(self.start, name), shape, words)

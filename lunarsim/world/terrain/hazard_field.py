@@ -57,7 +57,7 @@ def hazard_field(
     """
     if not 0.0 < size <= surround:
         raise InputError(
-            "terrain.field_m", size, f"must be positive and at most size_m, which is {surround:g}"
+            "terrain.field_m", size, f"must be positive and at most size_m, which is {surround:g} m"
         )
     for name, count in (("boulders", boulders), ("craters", craters)):
         if count < 0:

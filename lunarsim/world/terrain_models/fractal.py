@@ -48,7 +48,9 @@ class FractalTerrain(ReliefRoughness):
         if self.detail:
             if not self.detail < self.posting:
                 raise InputError(
-                    "detail", self.detail, f"must be less than posting_m, which is {self.posting:g}"
+                    "detail",
+                    self.detail,
+                    f"must be less than posting_m, which is {self.posting:g} m",
                 )
             check_posts(self.size, self.detail)
 

@@ -42,7 +42,9 @@ class HazardFieldTerrain:
     def __post_init__(self) -> None:
         check_posts(self.size, self.posting)
         if self.field > self.size:
-            raise InputError("field", self.field, f"must be at most size_m, which is {self.size:g}")
+            raise InputError(
+                "field", self.field, f"must be at most size_m, which is {self.size:g} m"
+            )
 
     def build(self, rocks: RockPopulation, streams: RandomStreams) -> Terrain:
         """Return the hazard field of one flight, sampled from its random streams.
