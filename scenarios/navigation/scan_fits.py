@@ -5,7 +5,7 @@ from heights of 100 to 400 m at slants of 30 to 80 deg, over the terrains of `ma
 The fits start from random errors of position, attitude and scanner with the assumed covariance. A
 fit is wrong if, after the update, the center of the scan has an error of more than half a grid
 spacing and of more than five of its standard deviations, east or north.
-`RegistrationSettings.accepts_fit` decides which fits are accepted. The filter gate, with which
+`is_good_fit` decides which fits are accepted. The filter gate, with which
 `MapMatcher` rejects more fits, is not applied.
 
 python scenarios/navigation/scan_fits.py --worlds 50 --jobs 2
@@ -24,8 +24,8 @@ from lunarsim.api import State, gimbal_mount
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.onboard.navigation.corrected_scan import MIN_SCANNER_SIGMAS, CorrectedScan
-from lunarsim.onboard.navigation.map_features import MapFeatures
-from lunarsim.onboard.navigation.registration import RegistrationSettings, register_scan
+from lunarsim.onboard.navigation.map_features import MODEL_SIGMA_M, MapFeatures
+from lunarsim.onboard.navigation.registration import is_good_fit, register_scan
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.studies import Case, Report, Study, run_script
 from lunarsim.world.survey import simulate_survey
@@ -57,8 +57,7 @@ def simulate_fits(case: Case) -> list[dict[str, Any]]:
     sigma = 0.1 if posting < 1.0 else 0.3
     prior = simulate_survey(world.terrain, grid, rng, sigma=sigma, outdated_fraction=outdated)
     features = MapFeatures(prior)
-    settings = RegistrationSettings()
-    variance = np.full(grid.shape, 2.0 * prior.sigma**2 + settings.model_sigma**2)
+    variance = np.full(grid.shape, 2.0 * prior.sigma**2 + MODEL_SIGMA_M**2)
     out = []
     for n in range(PER_WORLD):
         place_sigma = SIGMAS[n % len(SIGMAS)]
@@ -66,7 +65,7 @@ def simulate_fits(case: Case) -> list[dict[str, Any]]:
         error = sigmas * rng.standard_normal(11)
         seen = simulate_scan(world, rng, error)
         result, _ = register_scan(seen, features, np.diag(sigmas**2), variance)
-        fit = evaluate_fit(seen, error, sigmas, result, settings.accepts_fit(result), posting)
+        fit = evaluate_fit(seen, error, sigmas, result, is_good_fit(result), posting)
         out.append(
             {
                 "sigma": place_sigma,

@@ -72,51 +72,17 @@ def subtract_plane(height: Array, known: BoolArray, reach: int) -> tuple[Array, 
 _MAX_FINE_POSTING_M = 1.0
 # Number of places that represent the entire map in the mean likelihood of a tile.
 _SAMPLE_PLACES = 2048
-
-
-@dataclass(frozen=True)
-class FeatureSettings:
-    """Parameters of the likelihood comparison between scanned terrain and a map.
-
-    Attributes
-    ----------
-    width
-        Maximum width of a terrain feature, m. The half width is limited to 4 to 8 grid points; with
-        a large grid spacing the features are undulations, which the swept area must cover.
-    changed_probability
-        Probability that the terrain below a tile has changed since the map was made.
-    outlier
-        Fraction of disagreeing grid points in a matching tile, from rock shadows and single
-        changes.
-    model_sigma
-        Standard deviation of the difference between the mean height of a scan over the cell of a
-        map grid point and the map height, apart from the map's noise, m.
-    correlation_length
-        Correlation length of the agreement of grid points, m: a rock hides the terrain behind it.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range.
-    """
-
-    width: float = 50.0
-    changed_probability: float = 0.2
-    outlier: float = 0.05
-    model_sigma: float = 0.03
-    correlation_length: float = 0.7
-
-    def __post_init__(self) -> None:
-        for name in ("changed_probability", "outlier"):
-            if not 0.0 < getattr(self, name) < 1.0:
-                raise InputError(
-                    f"features.{name}", getattr(self, name), "must be more than 0 and less than 1"
-                )
-        for name in ("width", "model_sigma", "correlation_length"):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise InputError(
-                    f"features.{name}", getattr(self, name), "must be positive and finite"
-                )
+# Standard deviation of the difference between the mean height of a scan over the cell of a map grid
+# point and the map height, apart from the map's noise, m: occlusion by rocks, uneven sampling.
+MODEL_SIGMA_M = 0.03
+# Maximum width of a terrain feature, m. The half width is limited to 4 to 8 grid points; with a
+# large grid spacing the features are undulations, which the swept area must cover.
+_WIDTH_M = 50.0
+# Probability that the terrain below a tile has changed since the map was made, and fraction of
+# disagreeing grid points in a matching tile, from rock shadows and single changes.
+CHANGED_PROBABILITY, OUTLIER_FRACTION = 0.2, 0.05
+# Correlation length of the agreement of grid points, m: a rock hides the terrain behind it.
+CORRELATION_LENGTH_M = 0.7
 
 
 @dataclass(frozen=True)
@@ -190,8 +156,6 @@ class MapFeatures:
     ----------
     prior
         Prior map.
-    settings
-        Parameters of the comparison.
 
     Attributes
     ----------
@@ -204,15 +168,14 @@ class MapFeatures:
         Number of grid points whose agreement is correlated; they count as one.
     """
 
-    def __init__(self, prior: PriorMap, settings: FeatureSettings | None = None) -> None:
+    def __init__(self, prior: PriorMap) -> None:
         self.prior = prior
-        self.settings = settings or FeatureSettings()
         posting = prior.grid.posting
-        half = 0.5 * self.settings.width / posting
+        half = 0.5 * _WIDTH_M / posting
         self.reach = 4 if posting <= _MAX_FINE_POSTING_M else int(np.clip(round(half), 4, 8))
         self.correlated_count = max(
             1.0,
-            (self.settings.correlation_length / posting) ** 2,
+            (CORRELATION_LENGTH_M / posting) ** 2,
             prior.equivalent_correlated_posts,
         )
         shown, kept = subtract_plane(prior.elevation, np.isfinite(prior.elevation), self.reach)
@@ -229,7 +192,7 @@ class MapFeatures:
     @property
     def variance(self) -> float:
         """Variance of the height residual at a grid point that is evenly scanned, m^2."""
-        return self.prior.sigma**2 + self.settings.model_sigma**2
+        return self.prior.sigma**2 + MODEL_SIGMA_M**2
 
     def likelihood(self, tile: FeatureTile, row: IntArray, col: IntArray) -> tuple[Array, Array]:
         """Return log-likelihood ratios and covered fractions of a tile at places.
@@ -241,8 +204,7 @@ class MapFeatures:
         total = float(tile.weight.sum())
         if total == 0.0 or len(row) == 0:
             return np.zeros(len(row)), np.zeros(len(row))
-        s = self.settings
-        level = np.log((1.0 - s.outlier) / np.sqrt(2.0 * np.pi * tile.variance))
+        level = np.log((1.0 - OUTLIER_FRACTION) / np.sqrt(2.0 * np.pi * tile.variance))
         height, weight, sharp, density = (
             np.ascontiguousarray(part, np.float32)
             for part in (tile.height, tile.weight, 0.5 / tile.variance, level)
@@ -255,7 +217,7 @@ class MapFeatures:
             weight,
             sharp,
             density,
-            np.float32(np.log(s.outlier)),
+            np.float32(np.log(OUTLIER_FRACTION)),
             np.ascontiguousarray(row),
             np.ascontiguousarray(col),
         )
@@ -305,7 +267,7 @@ class MapFeatures:
         place_count
             Number of possible places.
         """
-        changed = self.settings.changed_probability
+        changed = CHANGED_PROBABILITY
         top = max(mean_log_ratio, float(ratio.max(initial=-np.inf)) - float(np.log(place_count)))
         return np.asarray(
             np.logaddexp(ratio - covered_fraction * top + np.log1p(-changed), np.log(changed))
@@ -357,7 +319,6 @@ def forecast_lock(
     place_sigma: float,
     *,
     certainty: float = 0.99999,
-    settings: FeatureSettings | None = None,
 ) -> LockForecast:
     """Forecast from a prior map whether scans of a square area can be located on it.
 
@@ -380,11 +341,9 @@ def forecast_lock(
         Prior standard deviation of the position, per axis, m.
     certainty
         Required probability of the best place.
-    settings
-        Parameters of the comparison between terrain and map.
     """
     _check_arguments(side, place_sigma, certainty)
-    features = MapFeatures(prior, settings)
+    features = MapFeatures(prior)
     posting = prior.grid.posting
     reach = max(2, int(np.ceil(3.0 * place_sigma / posting)))
     features_window, added, shown = (
@@ -397,7 +356,7 @@ def forecast_lock(
     # Noise that passes the threshold correlates with itself.
     mismatch = alike[reach, reach] - float(added[inner].sum()) - alike
     log_ratio = 0.5 * np.maximum(mismatch, 0.0) / (features.variance * features.correlated_count)
-    expected = (1.0 - features.settings.changed_probability) * log_ratio
+    expected = (1.0 - CHANGED_PROBABILITY) * log_ratio
     n = np.arange(-reach, reach + 1)
     is_far = np.hypot(*np.meshgrid(n, n)) > 3.0
     # A more distant wrong place has a lower prior probability.

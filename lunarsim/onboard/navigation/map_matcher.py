@@ -17,11 +17,14 @@ from lunarsim.onboard.navigation.estimate import NavigationEvent
 from lunarsim.onboard.navigation.inertial import VELOCITY
 from lunarsim.onboard.navigation.innovation_monitor import MonitorResult
 from lunarsim.onboard.navigation.local_frame import LocalFrame
-from lunarsim.onboard.navigation.map_features import MapFeatures
+from lunarsim.onboard.navigation.map_features import MODEL_SIGMA_M, MapFeatures
 from lunarsim.onboard.navigation.measurement_processor import FilterContext
 from lunarsim.onboard.navigation.place_search import MapMatch, PlaceSearch
 from lunarsim.onboard.navigation.registration import (
-    RegistrationSettings,
+    MIN_AGREEING_FRACTION,
+    MIN_SQUARES,
+    REJECTION_PROBABILITY,
+    is_good_fit,
     register_scan,
     solve_error,
 )
@@ -30,6 +33,15 @@ from lunarsim.typing import Array, IntArray
 
 # Factor on the standard deviations in the second fit of a scan that does not match.
 _WIDE_FACTOR = 20.0
+# Probability to reject a valid fit to the map; partly changed terrain biases it by a few standard
+# deviations.
+_MAP_REJECTION_PROBABILITY = 1e-3
+# Minimum probability of the best place of a search, and standard deviation of a height that is
+# derived before the place is known, m.
+_MIN_CERTAINTY, _HEIGHT_SIGMA_M = 0.99999, 0.5
+# Time between two searches, time without agreement of a large enough scan after which the lock is
+# lost, and maximum time over which small scans are accumulated, s.
+_SEARCH_S, _LOST_S, _MAX_ACCUMULATION_S = 0.5, 2.0, 5.0
 # Maximum rotation of the local frame before a search is restarted, rad.
 _MAX_ROTATION_RAD = 0.01
 _LEVEL_VELOCITY = np.arange(VELOCITY.start, VELOCITY.start + 2)
@@ -68,8 +80,6 @@ class MapMatcher:
         Transformation between local frame and site frame.
     prior
         Prior map, site frame.
-    settings
-        Settings of the registration.
 
     Attributes
     ----------
@@ -77,21 +87,12 @@ class MapMatcher:
         Whether scans agree with the map.
     """
 
-    def __init__(
-        self,
-        context: FilterContext,
-        frame: LocalFrame,
-        prior: PriorMap,
-        settings: RegistrationSettings,
-    ) -> None:
+    def __init__(self, context: FilterContext, frame: LocalFrame, prior: PriorMap) -> None:
         self.context = context
         self.frame = frame
-        self.settings = settings
         self.locked = False
         self.prior = prior
-        self._accumulator = ScanAccumulator(
-            prior.grid.posting, settings.min_squares, settings.max_accumulation_s
-        )
+        self._accumulator = ScanAccumulator(prior.grid.posting, MIN_SQUARES, _MAX_ACCUMULATION_S)
         self._last_agreement = -np.inf
         self._last_search = -np.inf
         self._before = np.zeros(3)
@@ -131,7 +132,7 @@ class MapMatcher:
         if not self.locked and self._search(sensor, measurement, time):
             self._lock(time)
         agreed = self._register(sensor, measurement, time)
-        if self.locked and time - self._last_agreement > self.settings.lost_s:
+        if self.locked and time - self._last_agreement > _LOST_S:
             self.locked = False
             self._restart()
             self.context.events.append(NavigationEvent(time, "lock-lost", {"moved": 0.0}))
@@ -151,7 +152,6 @@ class MapMatcher:
 
         Without a lock, a scan is registered only if the position is certain enough.
         """
-        s = self.settings
         is_certain = self.found and self.position_sigma < self.prior.grid.posting
         if not self.locked and not is_certain:
             return False
@@ -167,12 +167,12 @@ class MapMatcher:
             self.frame.in_site(corrected), self._features, jacobian @ own @ jacobian.T,
             self._variance,
         )  # fmt: skip
-        if not s.accepts_fit(result):
+        if not is_good_fit(result):
             if self.locked:
                 self._check_other_place(sensor, corrected, time)
             return False
         outcome = self._update_with_information(
-            sensor, result.information, result.vector, s.map_rejection_probability
+            sensor, result.information, result.vector, _MAP_REJECTION_PROBABILITY
         )
         if self.locked:
             self.context.record_outcome(sensor, "map", outcome, time)
@@ -199,12 +199,12 @@ class MapMatcher:
         wide_covariance = _WIDE_FACTOR**2 * jacobian @ own @ jacobian.T
         in_site = self.frame.in_site(corrected)
         result, _ = register_scan(in_site, self._features, wide_covariance, self._variance)
-        if not self.settings.accepts_fit(result):
+        if not is_good_fit(result):
             return
         information = jacobian.T @ result.information @ jacobian, jacobian.T @ result.vector
         # A negative gate rejects the information, so that only its distance is evaluated.
         outcome = self.context.state.update_with_information(columns, *information, -1.0)
-        if chdtrc(max(outcome.dof, 1), outcome.nis) >= self.settings.map_rejection_probability:
+        if chdtrc(max(outcome.dof, 1), outcome.nis) >= _MAP_REJECTION_PROBABILITY:
             return
         if self._monitor(sensor, outcome, time) is MonitorResult.CONSISTENT:
             return
@@ -263,7 +263,7 @@ class MapMatcher:
         `uses` is the number of earlier uses of each grid point.
         """
         own = prior.sigma**2 * (uses + 1.0) * (uses + 2.0)
-        return np.asarray(own + self.settings.model_sigma**2)
+        return np.asarray(own + MODEL_SIGMA_M**2)
 
     # --- search ---------------------------------------------------------------------------
 
@@ -290,11 +290,11 @@ class MapMatcher:
 
         If it was found, the filter is updated. `time` is in s.
         """
-        s, frame = self.settings, self.frame
+        frame = self.frame
         corrected, alignment = self.context.correct_scan(sensor, scan), self._align()
         local = corrected.points()
         self._places.add(local @ alignment.rotation.T + alignment.position)
-        if time - self._last_search < s.search_s - 1e-9:
+        if time - self._last_search < _SEARCH_S - 1e-9:
             return False
         self._last_search = time
         middle = np.nanmean(local, axis=0)
@@ -309,13 +309,13 @@ class MapMatcher:
         match = self._places.search(time, prior_shift[:2], p[:2, :2], speed)
         if match is None:
             return False
-        if match.certainty < s.certainty or match.agreeing_fraction < s.min_agreement:
+        if match.certainty < _MIN_CERTAINTY or match.agreeing_fraction < MIN_AGREEING_FRACTION:
             self._update_height(sensor, jacobian[2], match, float(prior_shift[2]), float(p[2, 2]))
             return False
         information = np.linalg.inv(match.covariance)
         return self._update_with_information(
             sensor, jacobian.T @ information @ jacobian,
-            jacobian.T @ information @ (match.shift - prior_shift), s.rejection_probability,
+            jacobian.T @ information @ (match.shift - prior_shift), REJECTION_PROBABILITY,
         ).is_accepted  # fmt: skip
 
     def _update_height(
@@ -333,10 +333,10 @@ class MapMatcher:
         before.
         """
         # The height offset of the map is common to all searches: use it only once.
-        variance = match.vertical_shift_variance + self.settings.height_sigma**2
+        variance = match.vertical_shift_variance + _HEIGHT_SIGMA_M**2
         if 9.0 * variance < prior_variance:
             self._update_with_information(
                 sensor, np.outer(height_jacobian, height_jacobian) / variance,
                 height_jacobian * (match.vertical_shift - prior_shift) / variance,
-                self.settings.rejection_probability,
+                REJECTION_PROBABILITY,
             )  # fmt: skip

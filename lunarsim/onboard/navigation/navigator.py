@@ -37,7 +37,6 @@ from lunarsim.onboard.navigation.measurement_processor import (
     scanner_blocks,
 )
 from lunarsim.onboard.navigation.measurement_sequencer import MeasurementSequencer
-from lunarsim.onboard.navigation.registration import RegistrationSettings
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.navigation.scan_health import is_noisy, range_noise, remove_spikes
 from lunarsim.onboard.navigation.scan_odometry import (
@@ -68,8 +67,6 @@ class Navigator(Navigation):
         Standard deviations of the initial state.
     prior
         Prior map; if None, scans are only registered on each other.
-    settings
-        Settings of the scan registration.
     instruments
         Calibrations of the sensors, by name.
     terrain_prior
@@ -98,14 +95,12 @@ class Navigator(Navigation):
         inertial: StrapdownState,
         start_sigmas: StartSigmas,
         prior: PriorMap | None = None,
-        settings: RegistrationSettings | None = None,
         *,
         instruments: Mapping[str, Any] | None = None,
         terrain_prior: TerrainPrior | None = None,
         rocks: bool = False,
     ) -> None:
-        terrain, calibrations, limits = terrain_prior or TerrainPrior(), instruments or {}, settings
-        limits = limits or RegistrationSettings()
+        terrain, calibrations = terrain_prior or TerrainPrior(), instruments or {}
         blocks = (
             reference_pose_block()
             | aiding_blocks(calibrations, terrain)
@@ -118,9 +113,9 @@ class Navigator(Navigation):
         self._aiding = AidingMeasurements(self.state, calibrations, terrain, self.events)
         self._arrivals = MeasurementSequencer(inertial.step, self._add_event)
         shared = FilterContext(self.state, self._aiding, self.events, maximum_sigmas(self.state))
-        self.matcher = None if prior is None else MapMatcher(shared, self.frame, prior, limits)
+        self.matcher = None if prior is None else MapMatcher(shared, self.frame, prior)
         self.processors: list[MeasurementProcessor] = [] if self.matcher is None else [self.matcher]
-        self.processors += [ScanOdometry(shared, limits), self._aiding]
+        self.processors += [ScanOdometry(shared), self._aiding]
         self.rocks = RockFilter(self.state, self._aiding) if rocks else None
         self._context = shared
         self._is_anchored = False

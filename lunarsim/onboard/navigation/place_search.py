@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,36 +27,11 @@ _SEARCH_SIGMAS = 3.5
 _MAX_HALF_POST_PLACES, _MAX_PLACES_PER_SIDE = 250_000, 2000
 # Minimum log-likelihood ratio of a tile at an exact fit, in a search with many places.
 _MIN_TILE_INFORMATION = 5.0
-
-
-@dataclass(frozen=True)
-class SearchSettings:
-    """Settings of the search for scanned terrain on a map: tile size and drift.
-
-    Attributes
-    ----------
-    tile
-        Side of a tile (patch of scanned terrain), m; limited to 4 to 16 grid points of the map.
-    idle_s
-        Time without new grid points after which an incomplete tile is compared, s.
-    drift_correlation_s
-        Correlation time of the velocity error that lets the shift drift, s.
-
-    Raises
-    ------
-    InputError
-        If a value is not positive.
-    """
-
-    tile: float = 8.0
-    idle_s: float = 1.0
-    drift_correlation_s: float = 4.0
-
-    def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if not 0.0 < value < np.inf:
-                raise InputError(f"search.{f.name}", value, "must be positive and finite")
+# Side of a tile (patch of scanned terrain), m; limited to 4 to 16 grid points of the map.
+_TILE_M = 8.0
+# Time without new grid points after which an incomplete tile is compared, and correlation time of
+# the velocity error that lets the shift drift, s.
+_IDLE_S, _DRIFT_CORRELATION_S = 1.0, 4.0
 
 
 @dataclass(frozen=True)
@@ -120,22 +95,19 @@ class PlaceSearch:
     likelihood of a tile at a place, relative to its mean over all places, multiplies the posterior;
     flat terrain fits nearly everywhere and gives no information. Each grid point is compared once,
     since its error is the same in every view. A tile that does not fit lowers the probability of a
-    place by no more than a factor of `FeatureSettings.changed_probability`. Between searches the
+    place by no more than a factor of `CHANGED_PROBABILITY`. Between searches the
     posterior is blurred by the drift of the local frame.
 
     Parameters
     ----------
     features
         Features of the map.
-    settings
-        Settings of the tiles and the drift.
     """
 
-    def __init__(self, features: MapFeatures, settings: SearchSettings | None = None) -> None:
+    def __init__(self, features: MapFeatures) -> None:
         self.features = features
         self.prior = features.prior
-        self.settings = settings or SearchSettings()
-        self._wide = int(np.clip(round(self.settings.tile / self.prior.grid.posting), 4, 16))
+        self._wide = int(np.clip(round(_TILE_M / self.prior.grid.posting), 4, 16))
         self.restart()
 
     def restart(self) -> None:
@@ -254,9 +226,7 @@ class PlaceSearch:
         before, self._time = self._time, time
         if before is None or time <= before or not self._tiles:
             return
-        sigma = (
-            speed_sigma * np.sqrt((time - before) * self.settings.drift_correlation_s) / self._unit
-        )
+        sigma = speed_sigma * np.sqrt((time - before) * _DRIFT_CORRELATION_S) / self._unit
         if sigma > 0.0:
             best = self._log.max()
             p = ndimage.gaussian_filter(np.exp(self._log - best), sigma, mode="nearest")
@@ -308,7 +278,7 @@ class PlaceSearch:
             if n > seen:
                 self._growing[key] = (n, time)
                 since = time
-            old = time - since >= self.settings.idle_s - 1e-9
+            old = time - since >= _IDLE_S - 1e-9
             if n >= 0.95 * full or (old and n >= 0.25 * full):
                 self._used.add(key)
                 complete.append(key)

@@ -13,8 +13,10 @@ from lunarsim.onboard.navigation.corrected_scan import CorrectedScan, ScanSurfac
 from lunarsim.onboard.navigation.error_state import POSE, REFERENCE_POSE
 from lunarsim.onboard.navigation.measurement_processor import FilterContext
 from lunarsim.onboard.navigation.registration import (
-    RegistrationSettings,
+    MIN_SQUARES,
+    REJECTION_PROBABILITY,
     fit_residuals,
+    is_good_fit,
     residual_correlation,
     solve_error,
 )
@@ -91,6 +93,12 @@ def linearisation_variance(prior: Array, displacements: Array) -> float:
 
 # Maximum plausible range, m.
 _MAX_RANGE_M = 20_000.0
+# Minimum and maximum side of the compared squares, m; between them it is 1/24 of the scan's width.
+_POSTINGS_M = (0.05, 0.4)
+# Standard deviation of the height difference of two scans in a square, m.
+_SCAN_SIGMA_M = 0.03
+# Minimum overlap with the reference scan; below it the reference scan is replaced.
+_MIN_OVERLAP = 0.8
 # Maximum residual of a square in standard deviations; factor on the variances, since the slopes
 # that weight the squares have errors too.
 _MAX_RESIDUAL_SIGMAS, _SLOPE_VARIANCE_FACTOR = 3.0, 1.5
@@ -162,13 +170,10 @@ class ScanOdometry:
     context
         State and helpers that the processors share; the state has the block of
         `reference_pose_block`.
-    settings
-        Settings of the comparison.
     """
 
-    def __init__(self, context: FilterContext, settings: RegistrationSettings) -> None:
+    def __init__(self, context: FilterContext) -> None:
         self.context = context
-        self.settings = settings
         self._reference: _ReferenceScan | None = None
         self._share = 0.0
         context.state.listeners.append(self._apply_correction)
@@ -190,9 +195,9 @@ class ScanOdometry:
 
     def _update_reference(self, sensor: str, scan: LidarScan) -> None:
         """Make a scan the reference if its overlap with the last reference is too small."""
-        if self._reference is not None and self._share >= self.settings.min_overlap:
+        if self._reference is not None and self._share >= _MIN_OVERLAP:
             return
-        posting = float(np.clip(scan_width(scan) / 24.0, *self.settings.odometry_postings))
+        posting = float(np.clip(scan_width(scan) / 24.0, *_POSTINGS_M))
         grid = Grid(0.0, 0.0, posting, 1, 1)
         corrected = self.context.correct_scan(sensor, scan)
         self._reference = _ReferenceScan(sensor, grid, corrected.surface(grid), corrected)
@@ -205,7 +210,7 @@ class ScanOdometry:
         if self._reference is None or self._reference.sensor != sensor:
             return False
         self._reference = reference = self._reference.refresh()
-        least, state = self.settings.min_squares, self.context.state
+        least, state = MIN_SQUARES, self.context.state
         corrected = self.context.correct_scan(sensor, scan)
         new = corrected.surface(reference.grid)
         i, j = _common_squares(reference.surface, new)
@@ -222,13 +227,13 @@ class ScanOdometry:
             corrected, reference.corrected, new.position[j], normal, own
         )
         residual = reference.surface.position[i, 2] - new.position[j, 2]
-        variance = np.full(len(i), self.settings.odometry_sigma**2)
+        variance = np.full(len(i), _SCAN_SIGMA_M**2)
         result = fit_residuals(jacobian, residual, variance, prior)
-        if not self.settings.accepts_fit(result):
+        if not is_good_fit(result):
             self._share = 0.0
             return False
         residual_after = residual - jacobian @ solve_error(result, prior)
-        used = np.abs(residual_after) <= _MAX_RESIDUAL_SIGMAS * self.settings.odometry_sigma
+        used = np.abs(residual_after) <= _MAX_RESIDUAL_SIGMAS * _SCAN_SIGMA_M
         variance = _SLOPE_VARIANCE_FACTOR * height_variances(normal, residual_after, used)
         displacements = np.stack(
             (
@@ -244,7 +249,7 @@ class ScanOdometry:
             indices,
             refined.information / correlation,
             refined.vector / correlation,
-            min_probability=self.settings.rejection_probability,
+            min_probability=REJECTION_PROBABILITY,
         )
         self.context.record_outcome(sensor, "scans", outcome, time)
         if not outcome.is_accepted:

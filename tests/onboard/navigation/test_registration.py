@@ -23,7 +23,6 @@ from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.navigation.corrected_scan import CorrectedScan, average_scan
 from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.registration import (
-    RegistrationSettings,
     fit_residuals,
     register_scan,
 )
@@ -246,17 +245,3 @@ def test_impossible_maps_are_refused():
     terrain = Terrain(hazard_field(np.random.default_rng(0), boulders=0, craters=0).relief)
     with pytest.raises(InputError, match=r"prior_map\.outdated_fraction"):
         simulate_survey(terrain, grid, np.random.default_rng(0), outdated_fraction=1.0)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("model_sigma", 0.0), ("min_squares", -3), ("min_agreement", 1.2), ("min_agreement", np.nan),
-     ("max_misfit", np.inf), ("rejection_probability", 0.0), ("map_rejection_probability", -1.0),
-     ("certainty", 1.1),
-     ("height_sigma", np.nan), ("search_s", -0.5), ("lost_s", 0.0), ("max_accumulation_s", np.nan),
-     ("odometry_postings", (0.4, 0.05)), ("odometry_postings", (0.0, 0.4)),
-     ("odometry_sigma", -0.03), ("min_overlap", 0.0)],
-)  # fmt: skip
-def test_settings_out_of_range_are_refused(name, value):
-    with pytest.raises(InputError, match=rf"navigation\.{name}"):
-        RegistrationSettings(**{name: value})
