@@ -137,8 +137,8 @@ def test_fewer_unseen_rocks_make_sites_safer_and_more_less_safe(slope):
     ]
     assert p[0] < p[1] < p[2]
     for name in ("expected_hazards", "expected_roughness_violations", "expected_tilt_violations"):
-        fewer = getattr(replace(plainly, undetected_rock_ratio=thinning()), name)()
-        assert (fewer < getattr(plainly, name)()).all(), name
+        fewer = getattr(replace(plainly, undetected_rock_ratio=thinning()), name)
+        assert (fewer < getattr(plainly, name)).all(), name
     # Holes are no rocks.
     fewer = replace(plainly, undetected_rock_ratio=thinning())
     assert np.array_equal(fewer.expected_hole_violations, plainly.expected_hole_violations)
