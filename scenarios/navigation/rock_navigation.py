@@ -12,25 +12,23 @@ python scenarios/navigation/rock_navigation.py --flights 1
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
-from consistency import SCENARIOS, error_of
+from navigation_errors import SCENARIOS, error_of
 from scipy.spatial import cKDTree
-from shared_options import declared_table, json_option, seed_and_jobs, write_flights
+from undeclared_failures import declared_table
 
 from lunarsim import Scenario, Simulation, Terrain, flight_seed
-from lunarsim.campaign.pool import collect_results
-from lunarsim.console import plain_console
 from lunarsim.frames import rotation_about_up
 from lunarsim.messages.measurements import CameraImage
 from lunarsim.onboard.hazards.shadows import ShadowMapper
 from lunarsim.onboard.navigation.error_state import MAP
 from lunarsim.onboard.navigation.terrain_heights import TERRAIN
+from lunarsim.studies import Case, Report, Study, run_script
 
 RELIEFS = (0.0, 2.0, 4.0, 8.0)  # RMS slope, deg
 COVERS = (0.02, 0.08, 0.15)
@@ -52,68 +50,69 @@ FAULTS: dict[str, tuple[float, Tamper]] = {
     "black pictures for 4 s": (FAULT_END_S, blacken),
     "no more pictures": (np.inf, lambda p, rng: None),
 }
+# Name of each error of the Sun azimuth.
+SUN_NAMES = {s: f"Sun {s:g} deg off" if s else "none" for s in SUNS}
 
 
 @dataclass(frozen=True)
-class RockNavigationTask:
-    """Settings of one simulated flight with navigation on tracked rocks.
+class Conditions:
+    """Conditions of one simulated flight with navigation on tracked rocks.
 
     `relief` is the RMS slope (deg), `cover` the rock cover (fraction), `sun_azimuth_error` the
     error of the Sun azimuth that the mapper assumes (deg) and `fault` the name of the image fault
-    in `FAULTS` ("": none). `flight` and `seed` (root seed) determine the random numbers.
+    in `FAULTS` ("": none).
     """
 
     relief: float
     cover: float
     sun_azimuth_error: float
     fault: str
-    flight: int
-    seed: int
-
-
-@dataclass(frozen=True)
-class RockNavigationFlight:
-    """Results of one simulated flight with navigation on tracked rocks.
-
-    Attributes
-    ----------
-    error_sigmas
-        Maximum errors at the end in standard deviations: velocity, attitude, height above the
-        terrain, position relative to the rocks.
-    lost, ever_lost
-        Whether navigation declared itself lost at the end, and whether it ever did.
-    inflated
-        Number of `covariance-inflated` and `rocks-reset` events of the rock measurements.
-    safe
-        Whether the landing was safe.
-    """
-
-    task: RockNavigationTask
-    error_sigmas: tuple[float, float, float, float]
-    lost: bool
-    ever_lost: bool
-    inflated: int
-    safe: bool
 
     @property
-    def far(self) -> bool:
-        """Whether an error exceeded five standard deviations at the end."""
-        return max(self.error_sigmas) > MAX_ERROR_SIGMA
+    def name(self) -> str:
+        """Name of the image fault or of the Sun error; "none" without both."""
+        return self.fault or SUN_NAMES[self.sun_azimuth_error]
 
 
-def fly(task: RockNavigationTask) -> RockNavigationFlight:
-    """Simulate one flight with navigation on tracked rocks and the given fault."""
+def all_conditions(reliefs: Sequence[float], covers: Sequence[float]) -> list[Conditions]:
+    """Return all combinations of conditions; image faults have a cover of 8 % only."""
+    matrix = [Conditions(r, c, s, "") for s in SUNS for r in reliefs for c in covers]
+    return matrix + [Conditions(r, 0.08, 0.0, fault) for fault in FAULTS for r in reliefs]
+
+
+def fly_conditions(case: Case) -> list[dict[str, Any]]:
+    """Simulate one flight for each relief and cover, with one fault.
+
+    Every combination of conditions has its own terrain.
+    """
+    conditions = all_conditions(case["relief"], case["cover"])
+    return [
+        fly(one, case.number * len(conditions) + k, case.seed)
+        for k, one in enumerate(conditions)
+        if one.name == case["fault"]
+    ]
+
+
+def fly(conditions: Conditions, flight: int, seed: int) -> dict[str, Any]:
+    """Simulate one flight with navigation on tracked rocks and the given fault.
+
+    `flight` and `seed` (root seed) determine the random numbers. The row has the maximum errors at
+    the end in standard deviations (velocity, attitude, height above the terrain, position relative
+    to the rocks), whether one of them exceeded five (`far`), whether navigation declared itself
+    lost at the end and at any time, the number of `covariance-inflated` and `rocks-reset` events of
+    the rock measurements, and whether the landing was safe.
+    """
     scenario = Scenario.load(SCENARIOS / "shadow_nominal.toml").changed(
-        terrain={"rms_slope_deg": task.relief},
-        rocks={"cover": task.cover},
-        expected_rocks={"cover": task.cover},
+        terrain={"rms_slope_deg": conditions.relief},
+        rocks={"cover": conditions.cover},
+        expected_rocks={"cover": conditions.cover},
         tasking={"camera": {"kind": "periodic", "rate_hz": 2.5, "first_altitude_m": 160.0}},
     )
-    simulation = Simulation(scenario, flight_seed(task.seed, task.flight), "safest")
+    simulation = Simulation(scenario, flight_seed(seed, flight), "safest")
     mapper = simulation.computer.mapper
     if not isinstance(mapper, ShadowMapper):
         raise click.UsageError("shadow_nominal.toml: the first mapper must be of the kind 'shadow'")
-    apply_faults(mapper, task)
+    apply_faults(mapper, conditions, np.random.default_rng([seed, flight]))
     errors = RockNavigationErrors(simulation, mapper)
     while not simulation.done:
         # Only in flight: no measurements are taken at rest.
@@ -124,16 +123,20 @@ def fly(task: RockNavigationTask) -> RockNavigationFlight:
         name in {"covariance-inflated", "rocks-reset"} and "rocks" in what for name, what in events
     )
     ever = any(name == "lost" for name, _ in events)
-    return RockNavigationFlight(task, worst, lost, ever, inflated, simulation.outcome.safe)
+    return {
+        "relief": conditions.relief, "cover": conditions.cover,
+        "sun_azimuth_error_deg": conditions.sun_azimuth_error, "error_sigmas": worst,
+        "far": max(worst) > MAX_ERROR_SIGMA, "lost": lost, "ever_lost": ever,
+        "inflated": inflated, "safe": simulation.outcome.safe,
+    }  # fmt: skip
 
 
-def apply_faults(mapper: ShadowMapper, task: RockNavigationTask) -> None:
+def apply_faults(mapper: ShadowMapper, conditions: Conditions, rng: np.random.Generator) -> None:
     """Rotate the Sun direction that a shadow mapper assumes; add faults to its images."""
-    mapper.sun = rotation_about_up(np.deg2rad(task.sun_azimuth_error)) @ mapper.sun
-    if not task.fault:
+    mapper.sun = rotation_about_up(np.deg2rad(conditions.sun_azimuth_error)) @ mapper.sun
+    if not conditions.fault:
         return
-    rng = np.random.default_rng([task.seed, task.flight])
-    update_unchanged, (end, tamper) = mapper.update, FAULTS[task.fault]
+    update_unchanged, (end, tamper) = mapper.update, FAULTS[conditions.fault]
 
     def update_faulty(image: CameraImage, estimate: Any) -> None:
         left = tamper(image, rng) if FAULT_START_S <= image.time < end else image
@@ -146,8 +149,8 @@ def apply_faults(mapper: ShadowMapper, task: RockNavigationTask) -> None:
 class RockNavigationErrors:
     """Compute the current navigation errors of a flight in standard deviations.
 
-    The errors are those of `RockNavigationFlight.error_sigmas`: velocity, attitude, height above
-    the terrain, and position relative to the rocks.
+    The errors are those of velocity, attitude, height above the terrain, and position relative to
+    the rocks.
     """
 
     def __init__(self, simulation: Simulation, mapper: ShadowMapper) -> None:
@@ -196,98 +199,51 @@ class RockNavigationErrors:
         return float((np.abs(off) / np.sqrt(np.median(own + shape, axis=0))).max())
 
 
-def tasks_of(
-    flights: int, seed: int, reliefs: tuple[float, ...], covers: tuple[float, ...]
-) -> list[RockNavigationTask]:
-    """Return the settings of all flights of the study.
-
-    `flights` is the number of flights per combination of conditions, `reliefs` are RMS slopes (deg)
-    and `covers` rock covers (fractions).
-    """
-    matrix = [(r, c, s, "") for s in SUNS for r in reliefs for c in covers]
-    failing = [(r, 0.08, 0.0, fault) for fault in FAULTS for r in reliefs]
-    # Every combination of conditions has its own terrain.
-    return [
-        RockNavigationTask(*cell, flight=n * len(matrix + failing) + k, seed=seed)
-        for n in range(flights) for k, cell in enumerate(matrix + failing)
-    ]  # fmt: skip
-
-
-def flights_by_condition(
-    flights: list[RockNavigationFlight],
-) -> list[tuple[str, list[RockNavigationFlight]]]:
-    """Group the flights by condition: return names and flights of table rows."""
-    right = [f for f in flights if f.task.sun_azimuth_error == 0.0 and not f.task.fault]
-    reliefs, covers = ({getattr(f.task, k) for f in right} for k in ("relief", "cover"))
-    rows = [
-        (f"relief of {r:g} deg", [f for f in right if f.task.relief == r]) for r in sorted(reliefs)
+def print_declared(report: Report) -> None:
+    """Print the number of large errors and of declared failures by condition."""
+    for f in report.rows if report.options["cells"] else ():
+        off = ", ".join(f"{w:.1f}" for w in f["error_sigmas"])
+        fault = f["fault"] if f["fault"] in FAULTS else "no fault"
+        report.print(
+            f"relief {f['relief']:g} cover {f['cover']:g} Sun {f['sun_azimuth_error_deg']:g} "
+            f"{fault}: {off} sigma, lost {f['lost']} (ever {f['ever_lost']}), "
+            f"suspect {f['inflated']}, safe {f['safe']}"
+        )
+    by_fault = {fault: rows for (fault,), rows in report.groups("fault").items()}
+    right = by_fault.pop("none", [])
+    groups = [
+        (text.format(value), [f for f in right if f[name] == value])
+        for name, text in (("relief", "relief of {:g} deg"), ("cover", "cover of {:.0%}"))
+        for value in sorted({f[name] for f in right})
     ]
-    rows += [(f"cover of {c:.0%}", [f for f in right if f.task.cover == c]) for c in sorted(covers)]
-    rows += [
-        (f"Sun {s:g} deg off", [f for f in flights if f.task.sun_azimuth_error == s])
-        for s in SUNS
-        if s > 0.0
-    ]
-    rows += [(fault, [f for f in flights if f.task.fault == fault]) for fault in FAULTS]
-    return [row for row in (*rows, ("all", flights)) if row[1]]
-
-
-def fault_name_of(task: RockNavigationTask) -> str:
-    """Return the name of a flight's fault; "none" if it has none."""
-    return task.fault or (
-        f"Sun {task.sun_azimuth_error:g} deg off" if task.sun_azimuth_error else "none"
-    )
-
-
-@click.command()
-@click.option(
-    "--flights",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="Number of flights for each of the 64 combinations of conditions.",
-)
-@click.option(
-    "--relief",
-    "reliefs",
-    type=click.FloatRange(0.0, 30.0),
-    multiple=True,
-    default=RELIEFS,
-    show_default=True,
-    help="RMS slope of the terrain (deg); repeat the option for several slopes.",
-)
-@click.option(
-    "--cover",
-    "covers",
-    type=click.FloatRange(0.001, 0.3),
-    multiple=True,
-    default=COVERS,
-    show_default=True,
-    help="Fraction of the terrain covered by rocks; repeat the option for several values.",
-)
-@json_option
-@seed_and_jobs
-@click.option("--cells", is_flag=True, help="Print the results of every flight also.")
-def main(
-    flights: int, seed: int, reliefs: tuple[float, ...], covers: tuple[float, ...], jobs: int,
-    out: Path | None, cells: bool,
-) -> None:  # fmt: skip
-    """Fly with rock navigation in difficult conditions; count undeclared failures."""
-    console = plain_console(120)
-    tasks = tasks_of(flights, seed, reliefs, covers)
-    flown = collect_results(fly, tasks, jobs, console, "flights")
-    if cells:
-        for f in flown:
-            t, off = f.task, ", ".join(f"{w:.1f}" for w in f.error_sigmas)
-            console.print(
-                f"relief {t.relief:g} cover {t.cover:g} Sun {t.sun_azimuth_error:g} "
-                f"{t.fault or 'no fault'}: {off} sigma, lost {f.lost} (ever {f.ever_lost}), "
-                f"suspect {f.inflated}, safe {f.safe}"
-            )
     title = "Flights with rock navigation; rows of relief and cover: correct Sun, no fault"
-    console.print(declared_table(title, "flights with", flights_by_condition(flown)))
-    write_flights(out, [(fault_name_of(f.task), [f]) for f in flown])
+    rows = [*groups, *by_fault.items(), ("all", report.rows)]
+    report.print(declared_table(title, "flights with", rows))
 
+
+study = Study(
+    fly_conditions,
+    repeats="flights",
+    count=1,
+    factors={"fault": [*SUN_NAMES.values(), *FAULTS]},
+    factor_help={"fault": "Error of the assumed Sun azimuth, or name of an image fault."},
+    options=(
+        click.Option(
+            ["--relief"], type=click.FloatRange(0.0, 30.0), multiple=True, default=RELIEFS,
+            show_default=True,
+            help="RMS slope of the terrain (deg); repeat the option for several slopes.",
+        ),
+        click.Option(
+            ["--cover"], type=click.FloatRange(0.001, 0.3), multiple=True, default=COVERS,
+            show_default=True,
+            help="Fraction of the terrain covered by rocks; repeat the option for several values.",
+        ),
+        click.Option(
+            ["--cells"], is_flag=True, default=False, help="Print the results of every flight also."
+        ),
+    ),
+    report=print_declared,
+)  # fmt: skip
 
 if __name__ == "__main__":
-    main()
+    run_script(study)
