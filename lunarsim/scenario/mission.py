@@ -118,7 +118,7 @@ class PlannedSite:
     position: tuple[float, float] = quantity(
         (0.0, 0.0),
         "m",
-        help="Coordinates of the planned landing site, east and north of the middle of the terrain",
+        help="Coordinates of the planned landing site, east and north of the centre of the terrain",
     )
     scatter: tuple[float, float] = quantity(
         (0.0, 0.0),

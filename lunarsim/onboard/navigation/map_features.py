@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.signal import fftconvolve
 
 from lunarsim.errors import InputError
 from lunarsim.messages.prior_map import PriorMap
@@ -342,6 +341,8 @@ def forecast_lock(
     certainty
         Required probability of the best place.
     """
+    from scipy.signal import fftconvolve  # noqa: PLC0415  (takes half a second)
+
     _check_arguments(side, place_sigma, certainty)
     features = MapFeatures(prior)
     posting = prior.grid.posting
