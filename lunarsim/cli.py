@@ -267,9 +267,9 @@ def calibrate(
     error.
 
     The command flies SCENARIO with its own policy and samples random sites of the maps that divert
-    decisions used. It then fits the last stage of the calibration to the observed fraction of truly
-    safe sites: once inside the domain of the calibration supplied with lunarsim, once outside. To
-    use the file:
+    decisions used. It then fits the last stage of the calibration (intercept and slope on log odds)
+    to the observed fraction of truly safe sites. Sites inside and outside the domain of the
+    calibration supplied with lunarsim have separate fits. To use the file:
 
     \b
       [mappers.NAME]

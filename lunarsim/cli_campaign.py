@@ -331,9 +331,10 @@ def report(folder: Path, out: Path | None) -> None:
 def sensitivity(folder: Path, metric: str, resamples: int) -> None:
     """Print how sensitive a result is to each dispersed key.
 
-    Campaigns with method = "saltelli" give Sobol indices. All others give PAWN indices: the
-    distance by which the metric's distribution moves when one key is fixed to a tenth of its
-    range. All indices have 95 % intervals.
+    FOLDER has the results of a campaign. A campaign with method = "saltelli" gives Sobol indices.
+    Every other method gives PAWN indices: the Kolmogorov distance between the metric's
+    distribution over all flights and over flights with the key in one tenth of its range (median
+    over all tenths). All indices have 95 % intervals.
     """
     from rich.table import Table
 
@@ -448,10 +449,10 @@ def _print_levels(results: Results) -> None:
 def diff(first: Path, second: Path, margin: float, metric: str, require_equivalent: bool) -> None:
     """Compare the results of campaigns A and B flight by flight.
 
-    An arm is one variant of a campaign. The exit code is 1 if an arm of B is worse. "Worse" means
-    that McNemar's exact test is significant at 5 % after Holm's correction over all arms.
-    "Equivalent" means that the 90 % interval of the difference lies within the margin (two
-    one-sided tests at 5 %).
+    A and B are results folders. An arm is one variant of a campaign. The exit code is 1 if an arm
+    of B is worse. "Worse" means that McNemar's exact test is significant at 5 % after Holm's
+    correction over all arms. "Equivalent" means that the 90 % interval of the difference lies
+    within the margin (two one-sided tests at 5 %).
     """
     from rich.table import Table
 

@@ -55,8 +55,8 @@ from lunarsim.errors import InputError, check_folder
 @click.option(
     "--observation", "parts", multiple=True, metavar="PART",
     show_default="observation of the environment",
-    help="Component of the observation; give all those with which the agents were trained. Repeat "
-    "the option for each component.",
+    help="Component of the observation, for example hazard_map in Retarget-v0. Repeat the option "
+    "for each component with which the agents were trained.",
 )  # fmt: skip
 @click.option(
     "--action", "decided", multiple=True, metavar="PART", show_default="site",

@@ -16,7 +16,7 @@ def parts(contract: str | None) -> None:
     """List the components that a scenario can select.
 
     A component (part) is what a scenario selects by its `kind`, for example a guidance law.
-    CONTRACT selects one group of parts, for example guidance or policy.
+    CONTRACT limits the list to one type of component, for example guidance or policy.
     """
     from lunarsim.scenario.reference import parts_list
 

@@ -62,14 +62,14 @@ class DescentEngine:
         0.0,
         "N",
         ge=0,
-        help="lower limit of the thrust range in which the engine cannot run; 0: no such range",
+        help="lower end of the thrust range in which the engine cannot run; 0: no such range",
     )
     gap_upper: float = quantity(
         0.0,
         "N",
         ge=0,
-        help="upper limit of the thrust range in which the engine cannot run, and the only thrust "
-        "available above that range; 0: no such range",
+        help="upper end of the thrust range in which the engine cannot run. The engine runs up to "
+        "gap_lower_n or at exactly gap_upper_n; 0: no such range",
     )
 
     def __post_init__(self) -> None:
@@ -117,7 +117,8 @@ class JetLander(Lander):
     com_dry: tuple[float, float, float] = quantity(
         (0.0, 0.0, 0.0),
         "m",
-        help="centre of mass with empty tanks, relative to the body's origin (body axes)",
+        help="centre of mass with empty tanks, relative to the body's origin, which is "
+        "com_height_m above the landing pads (body axes)",
     )
     com_full: tuple[float, float, float] = quantity(
         (0.0, 0.0, 0.0),

@@ -40,7 +40,7 @@ class RockPopulation(RockModel):
         ge=0,
         le=0.2,
         help="fraction of the terrain area that true rocks of all sizes cover (Golombek's k); 0: "
-        "no rocks; expected_rocks.cover does not follow it",
+        "no rocks; expected_rocks.cover must be set separately",
     )
     min_diameter: float = quantity(0.15, "m", ge=0.01, help="minimum diameter of generated rocks")
     max_diameter: float = quantity(3.0, "m", gt=0, help="maximum diameter of generated rocks")
@@ -95,7 +95,7 @@ class RockExpectation(RockModel):
         gt=0,
         le=0.2,
         help="fraction of the terrain area that the mission expects rocks to cover (Golombek's k); "
-        "it does not follow rocks.cover",
+        "the true fraction, rocks.cover, must be set separately",
     )
 
     def __post_init__(self) -> None:

@@ -127,8 +127,8 @@ class DescentReward:
     excess: float = quantity(
         0.0,
         ge=0,
-        help="Additional penalty for exceeding a touchdown limit by a factor of 2.72; it grows "
-        "with the logarithm of the factor",
+        help="Additional penalty for a crash: this weight times ln(value / limit), at most 3, "
+        "summed over the exceeded touchdown limits of speed, tilt and angular rate",
     )
     shaping: float = quantity(
         1.0, ge=0, help="Weight of potential-based reward shaping; 0: no shaping"

@@ -49,7 +49,10 @@ class FlashLidar:
     rows: int = quantity(256, ge=2, le=4096, help="number of pixel rows of the detector")
     cols: int = quantity(256, ge=2, le=4096, help="number of pixel columns of the detector")
     half_fov_tangent: float = quantity(
-        0.1, gt=0, lt=2, help="tangent of half the field-of-view angle"
+        0.1,
+        gt=0,
+        lt=2,
+        help="tangent of half the field-of-view angle, equal along rows and columns",
     )
     noise_ratio: float = quantity(
         0.05 / 3.0 / 500.0, ge=0, lt=0.1, help="range noise divided by range, 1 sigma"
@@ -112,8 +115,8 @@ class FlashLidar:
         "s",
         ge=0,
         lt=1,
-        help="error of the time stamps that is random in each flight, 1 sigma; the onboard "
-        "computer knows this sigma",
+        help="latency (measurements are older than their time stamps), random in each flight, 1 "
+        "sigma; the onboard computer knows this sigma",
     )
     range_bias: float = quantity(
         0.0,
@@ -135,8 +138,8 @@ class FlashLidar:
         "s",
         ge=0,
         lt=1,
-        help="additional error of the time stamps, equal in all flights and unknown to the onboard "
-        "computer",
+        help="additional latency (measurements are older than their time stamps), equal in all "
+        "flights and unknown to the onboard computer",
     )
 
     measurement_type: ClassVar[type] = LidarScan

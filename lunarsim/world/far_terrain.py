@@ -64,8 +64,8 @@ class FarTerrainSettings:
         0.3,
         gt=0,
         le=1,
-        help="width of the strip along a square's edge in which terrains blend, divided by half "
-        "the square's side",
+        help="width of the strips along the edges of the map and of the squares in which heights "
+        "blend, divided by half the side of the map or square",
     )
     path: Path | None = quantity(
         None,
@@ -76,8 +76,9 @@ class FarTerrainSettings:
         None,
         "m",
         gt=0,
-        help="grid spacing of the elevation raster; required if the file has no georeferencing; "
-        "omitted: as in the file",
+        help="grid spacing of the elevation raster if the file has no georeferencing; if the file "
+        "has it but no square grid: spacing to which the raster is resampled; omitted: as in the "
+        "file",
     )
     dtm_unit: str | None = quantity(
         None,
@@ -86,7 +87,8 @@ class FarTerrainSettings:
     dtm_nodata: Numbers | None = quantity(
         None,
         help="raster values that mark missing heights, in addition to those stated in the file; "
-        "[]: no other values; omitted: values that resemble such marks are refused",
+        "[]: none; omitted: none, but a raster is rejected if some of its heights are outliers, "
+        "such as -9999, that can be such marks",
     )
 
     def __post_init__(self) -> None:

@@ -46,7 +46,7 @@ class QuaternionFeedback:
         0.08,
         "rad/s^2",
         gt=0,
-        help="angular acceleration that the control law expects to have for stopping a rotation",
+        help="angular acceleration that the control law assumes is available to stop a rotation",
     )
     period: float = quantity(0.1, "s", gt=0, le=1, help="time between thruster commands")
 

@@ -63,7 +63,7 @@ class Approach:
     arrival_acceleration: tuple[float, float, float] = quantity(
         (0.0, 0.0, 0.0),
         "m/s^2",
-        help="acceleration of the lander at the end of the approach, gravity included (ENU)",
+        help="total acceleration (thrust and gravity) at the end of the approach (ENU)",
     )
     arrival_offset: tuple[float, float] = quantity(
         (0.0, 0.0),
@@ -83,8 +83,8 @@ class Approach:
     jerk: float | None = quantity(
         None,
         "m/s^3",
-        help="required downrange jerk at the end of the approach; the time-to-go is computed from "
-        "it in every control cycle; omitted: the initial time-to-go counts down",
+        help="downrange jerk at the end of the approach, which determines the time-to-go in every "
+        "control cycle; omitted: the time-to-go counts down from its initial value",
     )
     end_time_to_go: float = quantity(
         0.0, "s", ge=0, help="time-to-go at which the approach ends and the vertical descent begins"
@@ -93,8 +93,8 @@ class Approach:
         0.0,
         "m",
         ge=0,
-        help="height of the footpads above the site at which the approach ends, whatever the "
-        "time-to-go; 0: the approach ends at vertical_altitude_m",
+        help="height of the footpads above the site at which the approach ends before it reaches "
+        "vertical_altitude_m, as in a takeover by a pilot; 0: no such end",
     )
     max_tilt: float = quantity(
         40.0, "deg", gt=0, lt=85, help="maximum angle of the thrust from the vertical"
@@ -114,8 +114,8 @@ class Approach:
         0.08,
         ge=0,
         lt=0.5,
-        help="fraction of the thrust range that planned paths leave free for feedback, at minimum "
-        "and at maximum thrust",
+        help="fraction of the thrust range, at each of its ends, that planned paths reserve for "
+        "feedback",
     )
 
     def __post_init__(self) -> None:

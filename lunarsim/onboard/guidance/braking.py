@@ -65,7 +65,7 @@ class Braking:
     end_acceleration: tuple[float, float, float] = quantity(
         (0.0, 0.0, 0.0),
         "m/s^2",
-        help="acceleration of the lander at the aim point of braking, gravity included (ENU)",
+        help="total acceleration (thrust and gravity) at the aim point of braking (ENU)",
     )
     time_to_go: float = quantity(
         60.0, "s", gt=0, le=10_000, help="time-to-go to the aim point at the start of braking"
@@ -73,8 +73,8 @@ class Braking:
     jerk: float | None = quantity(
         None,
         "m/s^3",
-        help="required downrange jerk at the aim point of braking; the time-to-go is computed from "
-        "it in every control cycle; omitted: the initial time-to-go counts down",
+        help="downrange jerk at the aim point of braking, which determines the time-to-go in every "
+        "control cycle; omitted: the time-to-go counts down from its initial value",
     )
     end_time_to_go: float = quantity(
         2.0,
@@ -92,8 +92,8 @@ class Braking:
     )
     keeps_thrust_direction: bool = quantity(
         False,
-        help="what is preserved when a thrust command beyond the thrust limits is reduced; true: "
-        "its direction; false: its vertical component",
+        help="whether a thrust command above the maximum thrust keeps its direction; false: it "
+        "keeps its vertical component, and the horizontal component gets the remaining thrust",
     )
     min_thrust_time: float = quantity(
         0.0, "s", ge=0, help="duration of minimum thrust at the start of braking; 0: none"

@@ -71,8 +71,8 @@ class NeuralOptimalLaw(PathLaw):
         "s",
         gt=0,
         le=60,
-        help="time between a switch to the Apollo law as fallback and the next use of the neural "
-        "network",
+        help="time for which the Apollo law replaces the neural network after a rejected command "
+        "or a state outside the network's training domain",
     )
     thrust_tolerance: float = quantity(
         0.05,

@@ -139,7 +139,7 @@ class AugmentedApolloLaw(FractionalPolynomialLaw):
         1.0,
         ge=1,
         le=1,
-        help="exponent of time-to-go in the acceleration; always 1 for augmented Apollo guidance",
+        help="exponent of time-to-go in the acceleration; 1 is the only value of this law",
     )
     gain: float = quantity(
         8.0,

@@ -52,16 +52,22 @@ class DecisionSettings:
         16,
         ge=1,
         le=256,
-        help="Maximum number of candidate sites with the highest p_safe; the nearest site at each "
-        "of four levels of p_safe, and sites that the mapper ranks, are added",
+        help="Maximum number of candidate sites selected for the highest p_safe (probability of "
+        "safe terrain); the nearest site with p_safe of 0.99, 0.95, 0.8 and 0.5 each, and the "
+        "sites that the mapper ranks, are added",
     )
-    separation: float = quantity(3.0, "m", gt=0, help="Minimum distance between candidate sites")
+    separation: float = quantity(
+        3.0,
+        "m",
+        gt=0,
+        help="Minimum distance between the candidate sites selected for the highest p_safe",
+    )
     touchdown_sigma: float = quantity(
         0.3,
         "m",
         ge=0,
-        help="Expected landing error if the position estimate does not drift relative to the map, "
-        "1 sigma per axis",
+        help="Expected landing error of guidance and map, 1 sigma per axis; drift of the position "
+        "estimate relative to the map is added to it",
     )
 
     def __post_init__(self) -> None:

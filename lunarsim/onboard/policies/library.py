@@ -199,11 +199,11 @@ class ScoreboardChoice:
     propellant_weight: float = quantity(
         0.0,
         ge=0,
-        help="Improvement of the mapper's site score that justifies using one kilogram of "
-        "propellant; 0: propellant matters only for sites with equal score",
+        help="Decrease of the mapper's site score (lowest is best) that justifies using one "
+        "kilogram of propellant; 0: propellant matters only for sites with equal score",
     )
     hysteresis: float = quantity(
-        0.2, ge=0, help="Minimum improvement of the mapper's site score for a divert"
+        0.2, ge=0, help="Minimum decrease of the mapper's site score (lowest is best) for a divert"
     )
     name: str = hidden("scoreboard")
 

@@ -51,8 +51,9 @@ class RasterTerrain(ReliefRoughness):
         None,
         "m",
         gt=0,
-        help="grid spacing of the elevation raster; required if the file has no georeferencing; "
-        "omitted: as in the file",
+        help="grid spacing of the elevation raster if the file has no georeferencing; if the file "
+        "has it but no square grid: spacing to which the raster is resampled; omitted: as in the "
+        "file",
     )
     dtm_window: tuple[int, int, int, int] | None = quantity(
         None,
@@ -66,14 +67,15 @@ class RasterTerrain(ReliefRoughness):
     dtm_nodata: Numbers | None = quantity(
         None,
         help="raster values that mark missing heights, in addition to those stated in the file; "
-        "[]: no other values; omitted: values that resemble such marks are refused",
+        "[]: none; omitted: none, but a raster is rejected if some of its heights are outliers, "
+        "such as -9999, that can be such marks",
     )
     height_step: float | None = quantity(
         None,
         "m",
         gt=0,
-        help="quantization step of the raster's heights; relief is smoothed within half a step; "
-        "omitted: no smoothing",
+        help="quantization step of the raster's heights; smoothing changes each height by at most "
+        "half a step to remove the steps; omitted: no smoothing",
     )
     relief_scale: float = quantity(
         1.0, ge=0, help="factor by which the raster's heights are multiplied"

@@ -70,8 +70,8 @@ class FusedMapperSettings:
     )
     calibration_mapper: str = quantity(
         "",
-        help="name of a second elevation mapper whose probability is an input of the calibration; "
-        "empty: none",
+        help="name of a second elevation mapper, whose p_safe (probability of safe terrain) the "
+        "calibration uses as an additional input; empty: none",
     )
     interval: float = quantity(
         1.0, "s", ge=0, le=10, help="minimum time between two updates of the map"

@@ -63,8 +63,10 @@ class QuadtreeMapperSettings:
     interval: float = quantity(1.0, "s", gt=0, help="time between two selections of landing sites")
     interest_path: Path | None = quantity(
         None,
-        help="file with a map of the mission value of landing places, 0 to 1 (.npz with value, x0, "
-        "y0, posting), relative to the scenario file; omitted: value 1 everywhere",
+        help="file with a map of the mission value of landing places, relative to the scenario "
+        "file; omitted: value 1 everywhere. The .npz file has value (rows, cols), from 0 (no "
+        "landing) to 1, x0 and y0 (east and north of the centre of cell (0, 0), m) and posting "
+        "(cell size, m)",
     )
     sites: SiteSettings = quantity(SiteSettings(), help="criteria for landing sites")
 

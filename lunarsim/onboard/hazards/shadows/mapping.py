@@ -74,7 +74,7 @@ class ShadowMapping:
     sensors: tuple[str, ...] = quantity(
         (),
         help="Names of the cameras whose images are mapped, if there are several; empty: only the "
-        "camera that sensor names",
+        "camera given by the key sensor",
     )
     posting: float = quantity(0.2, "m", gt=0, help="Cell size of the map")
     size: float = quantity(100.0, "m", gt=0, help="Side of the square map centred on the target")
