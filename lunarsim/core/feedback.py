@@ -11,6 +11,7 @@ from functools import lru_cache
 
 import numba
 from numba import types
+from numba.core.ccallback import CFunc
 
 from lunarsim._jit import kernel
 
@@ -20,12 +21,21 @@ _ROW, _ROWS = types.float64[::1], types.float64[:, ::1]
 SIGNATURE = types.void(_ROWS, _ROW, _ROWS, types.float64, types.float64, _ROW, _ROW)
 
 
+class _Formula(CFunc):
+    """Compiled formula that can be copied and pickled: its source is compiled again."""
+
+    def __reduce__(self):
+        return compile_formula, (self._pyfunc,)
+
+
 @lru_cache
 def compile_formula(function):
     """Compile a feedback formula, a function with the arguments of `SIGNATURE`."""
     if numba.config.DISABLE_JIT:
         return function
-    return numba.cfunc(SIGNATURE, error_model="numpy")(function)
+    compiled = numba.cfunc(SIGNATURE, error_model="numpy")(function)
+    compiled.__class__ = _Formula
+    return compiled
 
 
 def follow_path(state, target, final, time_to_go, gravity, gains, out):

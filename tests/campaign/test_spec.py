@@ -167,7 +167,7 @@ BAD = [
     ({"factors": {"policy": ["safest", "safest"]}}, "factors.policy", "each value only once"),
     ({"factors": {"start.position_m.7": [1.0]}}, "factors.start.position_m.7", "0 to 2"),
     ({"factors": {"rocks.cover": [0.1]}}, "dispersions.rocks.cover", "arms set rocks.cover"),
-    ({"factors": {"": [1]}}, "factors.", "must be a scenario key"),
+    ({"factors": {"": [1]}}, "factors", "must name a scenario key"),
     ({"arms": [{"name": "a"}]}, "arms", "combined with"),
     ({"factors": None, "arms": [{"name": "a"}, {"name": "a"}]}, "arms", "a name that differs"),
     ({"factors": None, "arms": []}, "arms", "each with a name"),

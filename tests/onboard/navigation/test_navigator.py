@@ -17,6 +17,7 @@ from lunarsim.frames import (
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
+from lunarsim.onboard.navigation import map_matcher
 from lunarsim.onboard.navigation.error_state import MAP, REFERENCE_POSE, UpdateOutcome
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.navigator import Navigator
@@ -287,12 +288,12 @@ def test_a_post_counts_once_however_often_it_is_seen(locked):
     assert told / told[0] == pytest.approx(expected / expected[0], rel=0.25)
 
 
-def test_model_noise_reduces_information(world, locked):
+def test_model_noise_reduces_information(world, locked, monkeypatch):
     told = []
     for sigma in (0.03, 1.0):
         descent = copy.deepcopy(locked, {id(world): world})
         matcher = descent.filter.matcher
-        matcher.settings = replace(matcher.settings, model_sigma=sigma)
+        monkeypatch.setattr(map_matcher, "MODEL_SIGMA_M", sigma)
         matcher.prior = matcher.prior
         told.append(told_of_height(descent, 1)[0])
     # A first use: twice the variance of posts, and that of a scan's mean.
