@@ -129,7 +129,8 @@ def test_python_that_is_shown_runs(name, number, tmp_path, monkeypatch):
     results.mkdir(parents=True)
     pq.write_table(pa.table({"arm": ["a", "b"], "safe": [True, False]}), results / "part-0.parquet")
     block = _blocks(ROOT / name, "python")[number]
-    exec(compile(block, f"{name}, Python block {number}", "exec"), {"__name__": "shown"})
+    code = compile(block, f"{name}, Python block {number}", "exec", dont_inherit=True)
+    exec(code, {"__name__": "shown"})
 
 
 def test_generated_pages_are_current():

@@ -318,8 +318,8 @@ def test_a_mask_that_is_none_is_refused(mask):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ({"observation": []}, "list of one name"),
-        ({"observation": "position"}, "one name or more"),
+        ({"observation": []}, "list of one or more names"),
+        ({"observation": "position"}, "one or more names"),
         ({"observation": ["postion"]}, "Did you mean 'position'"),
         ({"observation": ["rate", "rate"]}, "only once"), ({"rate_hz": 3.0}, "multiple of"),
         ({"worlds": 0}, "1 or more"), ({"worlds": 2.0}, "worlds"),

@@ -248,8 +248,8 @@ def test_actions_that_are_none_are_refused_and_change_nothing(action):
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        (("sites",), "Did you mean 'site'"), ((), "one name or more"), ("site", "list of one name"),
-        (("site", "site"), "each name only once"), (3, "list of one name"),
+        (("sites",), "Did you mean 'site'"), ((), "one or more names"), ("site", "one or more names"),
+        (("site", "site"), "each name only once"), (3, "one or more names"),
     ],
     ids=str,
 )  # fmt: skip

@@ -109,7 +109,7 @@ def test_study_resumes_from_its_file_and_rejects_another(study, tmp_path, monkey
     assert (tmp_path / "figure_camera.png").stat().st_size > 10_000
     wrong = CliRunner().invoke(study.main, [*words, "--seed", "7"])
     assert wrong.exit_code == 2
-    assert "must hold flights with the same settings" in wrong.output
+    assert "must contain flights with the same settings" in wrong.output
     file.write_text(file.read_text()[:200])
     wrong = CliRunner().invoke(study.main, words)
     assert wrong.exit_code == 2

@@ -200,7 +200,7 @@ def test_matrix_stores_each_flight_and_resumes(matrix, tmp_path, monkeypatch):
     assert flown == ["small 1 / 0"]
     for other in (["--seed", "2"], ["--method", "paper"]):
         done = CliRunner().invoke(matrix.main, [*some, *other])
-        assert done.exit_code == 2 and "must hold flights with the same settings" in done.output
+        assert done.exit_code == 2 and "must contain flights with the same settings" in done.output
     assert CliRunner().invoke(matrix.main, ["--cells", "pyramids"]).exit_code == 2
 
 
