@@ -248,7 +248,7 @@ def test_actions_that_are_none_are_refused_and_change_nothing(action):
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        (("sites",), "Did you mean 'site'"), ((), "one or more names"), ("site", "one or more names"),
+        (("sites",), "Did you mean 'site'"), ((), "one or more names"), ("site", "or more names"),
         (("site", "site"), "each name only once"), (3, "one or more names"),
     ],
     ids=str,
