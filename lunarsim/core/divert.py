@@ -158,7 +158,7 @@ def search_lanes(work, state, final, spans, count, skip, table, powers, params, 
     and step of the logarithm. There are `count` steps; if `skip` is positive, its multiples are
     omitted. `work` is scratch; the other arguments are those of `evaluate_path`.
     """
-    least = np.full(SIMD_WIDTH, _INADMISSIBLE_COST)
+    min_cost = np.full(SIMD_WIDTH, _INADMISSIBLE_COST)
     open_ = best < 0
     for m in range(count):
         if skip > 0 and m % skip == 0:
@@ -167,8 +167,8 @@ def search_lanes(work, state, final, spans, count, skip, table, powers, params, 
             work[_TIME + k] = spans[0, k] * np.exp(m * spans[2, k])
         evaluate_lanes(work, state, final, table, powers, params)
         for k in range(SIMD_WIDTH):
-            if open_[k] and work[_COST + k] < least[k]:
-                best[k], least[k] = m, work[_COST + k]
+            if open_[k] and work[_COST + k] < min_cost[k]:
+                best[k], min_cost[k] = m, work[_COST + k]
 
 
 @kernel(inner=True)
@@ -178,12 +178,12 @@ def refine_lanes(work, state, final, spans, table, powers, params, log_ratio):
     `log_ratio` (16,) are logarithms of time over the first time, which are refined. `spans` (3, 16)
     are those of `search_lanes`, `work` is scratch; the others are those of `evaluate_path`.
     """
-    least = np.empty(SIMD_WIDTH)
+    min_cost = np.empty(SIMD_WIDTH)
     for k in range(SIMD_WIDTH):
         work[_TIME + k] = spans[0, k] * np.exp(log_ratio[k])
     evaluate_lanes(work, state, final, table, powers, params)
     for k in range(SIMD_WIDTH):
-        least[k] = work[_COST + k]
+        min_cost[k] = work[_COST + k]
     step, middle, near = np.empty(SIMD_WIDTH), np.empty(SIMD_WIDTH), np.empty(SIMD_WIDTH)
     for k in range(SIMD_WIDTH):
         step[k] = spans[2, k]
@@ -198,8 +198,8 @@ def refine_lanes(work, state, final, spans, table, powers, params, log_ratio):
             evaluate_lanes(work, state, final, table, powers, params)
             for k in range(SIMD_WIDTH):
                 inside = 0.0 <= near[k] <= spans[1, k]
-                if inside and step[k] > 0.0 and work[_COST + k] < least[k]:
-                    least[k], log_ratio[k] = work[_COST + k], near[k]
+                if inside and step[k] > 0.0 and work[_COST + k] < min_cost[k]:
+                    min_cost[k], log_ratio[k] = work[_COST + k], near[k]
 
 
 @kernel(inner=True)

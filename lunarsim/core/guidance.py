@@ -14,6 +14,11 @@ from lunarsim._jit import kernel
 
 # Indices of `response`: lagged acceleration, commanded acceleration, time of the command.
 LAGGED, COMMANDED, COMMAND_TIME = 0, 3, 6
+# Tolerated duration, s, and relative size of a violation of the limits of tilt and thrust.
+MAX_VIOLATION_S, VIOLATION_SLACK = 0.5, 0.02
+# Time-to-go where no path is admissible: this multiple of distance over speed, at least this time
+# (s); the speed is taken as at least the last value (m/s).
+_FALLBACK_TIME_FACTOR, _MIN_FALLBACK_TIME_S, _MIN_SPEED_M_S = 2.0, 5.0, 1.0
 
 
 class VerticalDescentParams(NamedTuple):
@@ -29,6 +34,12 @@ class VerticalDescentParams(NamedTuple):
     low_height: float
     tolerated_speed: float
     min_speed_fraction: float
+
+
+@kernel(exact=True)
+def fallback_time(distance, speed):
+    """Return a time-to-go from distance (m) and speed (m/s) only, without limits, s."""
+    return max(_FALLBACK_TIME_FACTOR * distance / max(speed, _MIN_SPEED_M_S), _MIN_FALLBACK_TIME_S)
 
 
 @kernel(exact=True)

@@ -115,14 +115,14 @@ def search_coarse(
     multiples are omitted. Returns the best m, or -1 if no path is admissible. The other arguments
     are those of `evaluate_path`; `path_cost` (4,) is a work array.
     """
-    best, least = -1, np.inf
+    best, min_cost = -1, np.inf
     for m in range(count):
         if skip > 0 and m % skip == 0:
             continue
         time = first * np.exp(m * log_step)
         good = evaluate_path(state, target, final, time, table, powers, params, terms, path_cost)
-        if good and path_cost[0] < least:
-            best, least = m, path_cost[0]
+        if good and path_cost[0] < min_cost:
+            best, min_cost = m, path_cost[0]
     return best
 
 

@@ -205,7 +205,7 @@ def tip_margin(y, legs, slope, params):
     """
     inertia = params.inertia
     full = (y[13] - params.dry_mass) / (params.wet_mass - params.dry_mass)
-    least = min(
+    min_inertia = min(
         inertia[0, 0] + full * (inertia[1, 0] - inertia[0, 0]),
         inertia[0, 1] + full * (inertia[1, 1] - inertia[0, 1]),
     )
@@ -224,7 +224,7 @@ def tip_margin(y, legs, slope, params):
             return -np.inf
         length = np.hypot(arm, params.com_height)
         barrier = y[13] * params.gravity * length * (1.0 - np.cos(tip_angle))
-        inertia_about_edge = least + y[13] * length * length
+        inertia_about_edge = min_inertia + y[13] * length * length
         momentum = y[13] * max(0.0, nx * y[3] + ny * y[4]) * params.com_height
         margin = min(margin, 1.0 - 0.5 * momentum * momentum / inertia_about_edge / barrier)
     return margin

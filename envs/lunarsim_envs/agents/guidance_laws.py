@@ -8,6 +8,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.core.guidance import fallback_time
 from lunarsim.frames import attitude_from_thrust
 from lunarsim.messages.briefing import Briefing, FlightSoftware, InitialStateEstimate
 from lunarsim.models.gravity import UniformGravity
@@ -24,9 +25,6 @@ from lunarsim_envs.descent.env import GuidanceEnv
 
 # Observation components that a law needs.
 _NEEDED = ("position", "velocity", "attitude", "rate", "propellant")
-# Time-to-go if no path is within limits: this factor times distance over speed (at least _SLOWEST,
-# m/s), and at least _LEAST, s. The onboard computer uses the same rule after braking.
-_LONGER, _LEAST, _SLOWEST = 2.0, 5.0, 1.0
 
 
 def _descent_core(agent_name: str, env: gymnasium.Env[Any, Any]) -> DescentEnvCore:
@@ -122,9 +120,8 @@ class GuidanceLawAgent:
         found = float(cost.time_to_go[0])
         if np.isfinite(found):
             return found
-        way = float(np.linalg.norm(end.position[0] - estimate.position))
-        speed = max(float(np.linalg.norm(estimate.velocity)), _SLOWEST)
-        return max(_LONGER * way / speed, _LEAST)
+        distance = float(np.linalg.norm(end.position[0] - estimate.position))
+        return float(fallback_time(distance, float(np.linalg.norm(estimate.velocity))))
 
     def _estimate(self, observation: Array, time: float) -> Estimate:
         """Convert an observation (size,) at `time`, s, to a state estimate."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from lunarsim._jit import kernel
 from lunarsim.core.candidates import average_cell, best_cells, nearest_cells
+from lunarsim.onboard.policies.expected_miss import MAX_EXPECTED_MISS_M
 from lunarsim_envs.sites._flight_kernels import compute_divert_costs, estimate_state
 from lunarsim_envs.sites._map_kernels import map_cell
 from lunarsim_envs.sites.reachable_candidates import (
@@ -19,8 +20,6 @@ from lunarsim_envs.sites.reachable_candidates import (
 
 # An averaged map is recomputed if the miss has changed by this fraction.
 _ALIKE = 0.05
-# Value of `expected_miss.MOST`.
-_MOST = 30.0
 
 
 class CandidateSites(NamedTuple):
@@ -50,7 +49,9 @@ def expected_miss(time, time_to_go, map_time, miss_params):
     if miss_params[1] == 0.0:
         return miss_params[0]
     seconds = max(time - map_time + time_to_go + miss_params[2], 0.0)
-    return min(np.hypot(miss_params[0], miss_params[1] * seconds), max(_MOST, miss_params[0]))
+    return min(
+        np.hypot(miss_params[0], miss_params[1] * seconds), max(MAX_EXPECTED_MISS_M, miss_params[0])
+    )
 
 
 @kernel(exact=True)
@@ -178,7 +179,7 @@ def select_candidates(
     max_count = 2 * (count + len(p_safe_levels))
     masked, score = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.float32)
     # Padding for the maximum miss in `average_map`.
-    padding = 2 * int(3.0 * max(_MOST, maps.miss_params[0]) / maps.posting + 0.5) + 1
+    padding = 2 * int(3.0 * max(MAX_EXPECTED_MISS_M, maps.miss_params[0]) / maps.posting + 0.5) + 1
     weights, padded = np.empty(padding, np.float32), np.empty(cols + padding, np.float32)
     cells = np.empty((max_count, 2), np.int64)
     row_maxima, more = np.empty(rows, np.float32), np.empty((max_count, 2), np.int64)

@@ -11,9 +11,12 @@ from lunarsim._jit import kernel
 from lunarsim.core.divert import DivertParams, costs_at_times, divert_costs
 from lunarsim.core.guidance import (
     COMMANDED,
+    MAX_VIOLATION_S,
+    VIOLATION_SLACK,
     VerticalDescentParams,
     advance_response,
     exceeds_limits,
+    fallback_time,
     predict_response,
     vertical_descent_command,
 )
@@ -28,9 +31,6 @@ APPROACH, VERTICAL = 0, 1
 _WAITING = 9
 # Random stream of the drift.
 _DRIFT = np.uint64(0xA0761D6478BD642F)
-# Fields of `LimitViolationMonitor`: maximum duration, s, and relative slack.
-_MAX_DURATION, _SLACK = 0.5, 0.02
-
 _divert_costs = cast(Any, divert_costs).compiled
 _costs_at_times = cast(Any, costs_at_times).compiled
 _advance = cast(Any, d.advance).compiled
@@ -185,12 +185,12 @@ def _exceeds_duration(i, command, mass, time, guidance, law):
 
     `command` (3,) is the commanded thrust acceleration, m/s^2. Updates `guidance.exceeds_since`.
     """
-    if not exceeds_limits(command, mass, law.max_tilt, law.max_thrust, _SLACK):
+    if not exceeds_limits(command, mass, law.max_tilt, law.max_thrust, VIOLATION_SLACK):
         guidance.exceeds_since[i] = np.nan
         return False
     if np.isnan(guidance.exceeds_since[i]):
         guidance.exceeds_since[i] = time
-    if time - guidance.exceeds_since[i] < _MAX_DURATION - 1e-9:
+    if time - guidance.exceeds_since[i] < MAX_VIOLATION_S - 1e-9:
         return False
     guidance.exceeds_since[i] = np.nan
     return True
@@ -283,12 +283,9 @@ def begin(
         guidance.response[i, 6] = np.nan
         guidance.path[i, 0] = np.nan
         time = optimal_time_to_go(y[i], guidance.drift_velocity[i], 0.0, guidance.site[i], law)
-        # No admissible path: use twice the distance over the speed as time-to-go.
         distance = np.sqrt(np.sum((guidance.site[i] + law.end_offset - y[i, :3]) ** 2))
         speed = np.sqrt(np.sum(y[i, 3:6] ** 2))
-        guidance.arrival[i] = (
-            time if np.isfinite(time) else max(2.0 * distance / max(speed, 1.0), 5.0)
-        )
+        guidance.arrival[i] = time if np.isfinite(time) else fallback_time(distance, speed)
         # Start with the attitude and the thrust that guidance commands.
         if compute_command(i, y[i], 0.0, guidance, law, command, scratch):
             _extend_time_to_go(i, y[i], 0.0, guidance, law)

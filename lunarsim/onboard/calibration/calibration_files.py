@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -65,7 +66,7 @@ class CalibrationTable:
         return check_number(key, value[0]), check_number(key, value[1])
 
 
-class StoredCalibration:
+class StoredCalibration(ABC):
     """Dataclass of a calibration that is stored as a JSON file.
 
     Attributes
@@ -102,5 +103,6 @@ class StoredCalibration:
         return cls._parsed(CalibrationTable(data, cls.writer))
 
     @classmethod
+    @abstractmethod
     def _parsed(cls, table: CalibrationTable) -> Self:
-        raise NotImplementedError
+        """Return the calibration of a table with the keys of the file."""

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from lunarsim.core import guidance as core
 from lunarsim.onboard.guidance.apollo import time_to_go_for_jerk
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.contract import GuidanceLaw, PhaseEnd, PlansArrival
 from lunarsim.onboard.navigation.estimate import Estimate
-
-# Fallback time-to-go if none is admissible: this multiple of distance over speed, at least this
-# time (s); the speed is taken as at least the last value (m/s).
-_FALLBACK_TIME_FACTOR, _MIN_FALLBACK_TIME_S, _MIN_SPEED_M_S = 2.0, 5.0, 1.0
 
 
 def initial_time_to_go(
@@ -46,4 +43,4 @@ def fallback_time(estimate: Estimate, end: PhaseEnd) -> float:
     """Estimate a time-to-go (s) from distance and speed only, without path limits."""
     distance = float(np.linalg.norm(end.position - estimate.position))
     speed = float(np.linalg.norm(estimate.velocity))
-    return max(_FALLBACK_TIME_FACTOR * distance / max(speed, _MIN_SPEED_M_S), _MIN_FALLBACK_TIME_S)
+    return float(core.fallback_time(distance, speed))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lunarsim.core.guidance import exceeds_limits
+from lunarsim.core.guidance import MAX_VIOLATION_S, VIOLATION_SLACK, exceeds_limits
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.typing import Array
 
@@ -27,8 +27,8 @@ class LimitViolationMonitor:
         Tolerated relative violation of a limit.
     """
 
-    max_duration: float = 0.5
-    slack: float = 0.02
+    max_duration: float = MAX_VIOLATION_S
+    slack: float = VIOLATION_SLACK
     _start_time: float | None = None
 
     def exceeds_duration(

@@ -110,15 +110,15 @@ def divert_cost(
     targets = np.ascontiguousarray(np.atleast_2d(end.position), dtype=np.float64)
     _check_inputs(estimate, end, gravity)
     count = len(targets)
-    least = np.zeros(count) if min_times is None else np.asarray(min_times, dtype=np.float64)
+    shortest = np.zeros(count) if min_times is None else np.asarray(min_times, dtype=np.float64)
     state = np.array([estimate.position, estimate.velocity], dtype=np.float64)
     law, mass = divert_params(shape, end, lander, gravity, limits or PathLimits()), estimate.mass
     found = np.empty((count, 4))
     if times is None:
         with threads_for(1.0 * count):
-            core.divert_costs(state, mass, targets, least, law, found)
+            core.divert_costs(state, mass, targets, shortest, law, found)
     else:
-        given = np.where(times >= least, times, np.nan)
+        given = np.where(times >= shortest, times, np.nan)
         with threads_for(0.1 * count):
             core.costs_at_times(state, mass, targets, given, law, found)
     return DivertCost(found[:, 0], found[:, 1], found[:, 2], np.arctan(found[:, 3]))

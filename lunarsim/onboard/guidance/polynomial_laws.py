@@ -62,12 +62,12 @@ def fractional_shape(gamma: float, gain: float) -> PathShape:
     InputError
         If gamma is negative, or the gain is too small or makes the powers equal.
     """
-    least = 2.0 * (gamma + 2.0)
+    min_gain = 2.0 * (gamma + 2.0)
     if not 0.0 <= gamma < np.inf:
         raise InputError("guidance.gamma", gamma, "must be 0 or more, and finite")
-    if not least <= gain < np.inf:
+    if not min_gain <= gain < np.inf:
         raise InputError(
-            "guidance.gain", gain, f"must be finite and at least {least:g} if gamma is {gamma:g}"
+            "guidance.gain", gain, f"must be finite and at least {min_gain:g} if gamma is {gamma:g}"
         )
     other = gain / (gamma + 2.0) - 2.0
     if abs(other - gamma) < 1e-6:

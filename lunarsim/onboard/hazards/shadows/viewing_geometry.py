@@ -133,9 +133,9 @@ def relative_shadow_counts(sharpness: Array, area: Array, cover: float) -> Array
     is the fraction of the terrain covered by rocks (Golombek size distribution).
     """
     shown = np.isfinite(area) & (sharpness > 0.0)
-    least = 2.0 * _MIN_Q / np.where(shown, sharpness, 1.0)
+    min_diameter = 2.0 * _MIN_Q / np.where(shown, sharpness, 1.0)
     terrain_area = np.where(shown, area, 0.0)
-    return np.stack((terrain_area * golombek_number(least, cover), terrain_area))
+    return np.stack((terrain_area * golombek_number(min_diameter, cover), terrain_area))
 
 
 def empty_cells(shadow_counts: IntArray, expected: Array) -> BoolArray:
