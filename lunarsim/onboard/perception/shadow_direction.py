@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.perception import _image_quality_kernels as kernels
-from lunarsim.onboard.perception.detector import Detections, DetectorSettings
+from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.high_sun_direction import high_sun_angle, more_accurate_angle
 from lunarsim.onboard.perception.lit_faces import LEAST_ELEVATION
 from lunarsim.onboard.perception.segmentation import lit_terrain_brightness
@@ -78,7 +78,7 @@ def shadow_directions(image: ArrayLike, seen: Detections, rocks: IntArray | None
     """
     grey = np.asarray(image, dtype=np.float64)
     check_shape("image", grey, seen.labels.shape, "like the image of the detections")
-    relative = grey / lit_terrain_brightness(grey.astype(np.float32), DetectorSettings().window)
+    relative = grey / lit_terrain_brightness(grey.astype(np.float32))
     index = np.arange(len(seen)) if rocks is None else rocks
     out = np.full((len(index), 2), np.nan)
     for n, rock in enumerate(index):

@@ -40,7 +40,6 @@ from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
 from lunarsim.onboard.navigation.rock_filter import MapRegion
 from lunarsim.onboard.perception.detector import (
     Detections,
-    DetectorSettings,
     detect_rocks,
 )
 from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
@@ -101,15 +100,13 @@ class ShadowMapper(HazardMapper):
         Assumed direction towards the Sun (3,), ENU of the site frame.
     footprint
         Radius of the disc under the lander that must be free of rocks, m.
-    detector
-        Criteria for dark patches to be shadows of rocks.
     interval
         Minimum time between two evaluations of the map, s.
     clear_terrain_interval
         Minimum time between two images of a camera from which clear terrain is recorded, s.
     health
-        Image quality checks by sensor name, or one for all cameras; default: one with default
-        settings.
+        Image quality checks by sensor name, or one for all cameras; default: one for the default
+        point spread.
     terrain_mapper
         Elevation mapper whose terrain is used: rocks stand at its heights and shadows fall on its
         plane. None: horizontal terrain.
@@ -132,7 +129,6 @@ class ShadowMapper(HazardMapper):
         sun: Array,
         footprint: float,
         *,
-        detector: DetectorSettings | None = None,
         interval: float = 1.0,
         clear_terrain_interval: float = 0.0,
         health: ImageQualityCheck | Mapping[str, ImageQualityCheck] | None = None,
@@ -147,7 +143,6 @@ class ShadowMapper(HazardMapper):
         self.interval, self.clear_terrain_interval = interval, clear_terrain_interval
         self._terrain = MeasuredTerrain(terrain_mapper)
         tracker.filter.measured_terrain = None if terrain_mapper is None else self._terrain
-        self.detector = detector or DetectorSettings()
         checks = (
             dict(health) if isinstance(health, Mapping) else {"": health or ImageQualityCheck()}
         )
@@ -206,7 +201,6 @@ class ShadowMapper(HazardMapper):
             detections = detect_rocks(
                 image.counts, image.camera, estimate, sun,
                 terrain=self._detection_plane(image.camera), model=self.tracker.model,
-                settings=self.detector,
             )  # fmt: skip
             was_confirmed = self.health.sun.confirmed
             health = self._check_shadows(detections, image, estimate, sun, health)
@@ -272,7 +266,7 @@ class ShadowMapper(HazardMapper):
         self.probability.add_image(
             image.camera.view(rocks.inertial), sun, detections, rocks.terrain_height_at,
             self.tracker.explained, self._place_sigma, plane, self._height_sigma,
-            self.health.settings.blur_sigma,
+            self.health.blur_sigma,
         )  # fmt: skip
 
     def _blind_pixels(

@@ -22,17 +22,14 @@ from lunarsim.onboard.navigation.estimate import Navigation
 from lunarsim.onboard.navigation.navigation_kinds import RockNavigation
 from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.onboard.perception.image_quality import (
+    DEFAULT_BLUR_SIGMA,
     ImageQualityCheck,
-    ImageQualitySettings,
     SunConfirmation,
 )
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.parts.quantity import quantity
 from lunarsim.rocks.population import RockExpectation
-
-# Point spread of a camera without a known one, pixels.
-_BLUR = ImageQualitySettings().blur_sigma
 
 
 @dataclass(frozen=True)
@@ -206,5 +203,5 @@ def _health_of(briefing: Briefing, camera: str, sun: SunConfirmation) -> ImageQu
     all cameras.
     """
     known = briefing.instruments.get(camera)
-    blur = known.blur_sigma if isinstance(known, CameraInstrument) else _BLUR
-    return ImageQualityCheck(ImageQualitySettings(blur_sigma=blur), sun)
+    blur = known.blur_sigma if isinstance(known, CameraInstrument) else DEFAULT_BLUR_SIGMA
+    return ImageQualityCheck(blur, sun)
