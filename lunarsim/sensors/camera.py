@@ -246,7 +246,8 @@ class Camera(CameraModel):
     def _bands(self, world: World, state: State, view: View) -> list[tuple[int, int, State]]:
         """Divide a rolling-shutter image into bands of lines that are rendered together.
 
-        Returns first line, line after the last, and lander state of each band.
+        Returns, for each band, its first line, the line after its last, and the lander state at the
+        mean time of its lines.
         """
         max_elevation = world.terrain.relief.z_range[1]
         near = max(float(view.position[2]) - max_elevation, 1.0)
@@ -273,7 +274,10 @@ class Camera(CameraModel):
 
     @cached_property
     def _border(self) -> int:
-        """Width, pixels, of the extra border to render before applying distortion."""
+        """Width, pixels, of the extra border to render before applying distortion.
+
+        It is 0 without distortion.
+        """
         if not any(self.distortion):
             return 0
         x, y = self._source_pixels
@@ -293,7 +297,10 @@ class Camera(CameraModel):
 
     @cached_property
     def _source_pixels(self) -> tuple[Array, Array]:
-        """Coordinates x, y (height, width) in an undistorted image that each pixel shows."""
+        """Undistorted image coordinates x, y that each pixel of the image shows.
+
+        Both arrays are (height, width), pixels.
+        """
         x, y = self.tangents
         assert self.cx is not None
         assert self.cy is not None
@@ -318,9 +325,11 @@ class Camera(CameraModel):
     ) -> NDArray[np.float32]:
         """Average an image over the rotation of the camera during the exposure.
 
-        `rate` is the angular velocity (3,), sensor axes, rad/s.
-        A rotation moves pixels by the homography K R K^-1, independent of range. The translation
-        of the lander during an exposure is far below a pixel and is neglected.
+        `rate` is the angular velocity (3,), sensor axes, rad/s. The image is returned unchanged if
+        motion blur is disabled or the rotation moves no pixel by 0.05 pixels or more.
+
+        A rotation moves pixels by the homography K R K^-1, independent of range. The translation of
+        the lander during an exposure is far below a pixel and is neglected.
         """
         turn = rate * self.exposure
         reach = np.hypot(view.width, view.height) * 0.5

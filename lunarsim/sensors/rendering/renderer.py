@@ -270,8 +270,8 @@ class Renderer:
     ) -> dict[str, moderngl.Program]:
         """Bind the surface textures and albedos; return the shader programs for a light.
 
-        `wide` is whether penumbrae are wider than a texel. `block` is the uniform block of the
-        image, in place.
+        `wide` is whether penumbrae are wider than a texel. The coordinate transforms of the
+        textures are written into `block`, the uniform block of the image.
         """
         self._surface.use(light, view.position, block)
         if light.boulder_albedo_variation > 0.0 or light.boulder_albedo != 1.0:
@@ -301,7 +301,10 @@ class Renderer:
         return half_width
 
     def _shading_tiles(self, view: View, sun: Array, frame: ShadowFrame | None) -> BoolArray:
-        """Return which tiles (n,) may cast shadows onto the area of the shadow map."""
+        """Return which tiles (n,) may cast shadows onto the area of the shadow map.
+
+        `sun` (3,) is the unit vector to the Sun. Without a shadow map (`frame` None), no tile does.
+        """
         if frame is None:
             return np.zeros(len(self._corners), np.bool_)
         # Only a face steeper than the Sun's rays is turned away from the Sun.
