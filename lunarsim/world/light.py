@@ -235,10 +235,11 @@ _COSINES = np.linspace(0.01, 1.0, 34)
 
 @lru_cache(maxsize=16)
 def _hemispherical_albedos(light: Light) -> tuple[Array, float]:
-    """Return hemispherical albedos at incidence cosines `_COSINES`; diffuse albedo.
+    """Return hemispherical albedos (34,) and the diffuse albedo of a light's terrain.
 
-    The reflection model of `light` is integrated over all emission directions. The diffuse
-    albedo is that under uniform light.
+    The hemispherical albedos are those at the incidence cosines `_COSINES`: the reflection model of
+    `light` is integrated over all emission directions. The diffuse albedo is that under uniform
+    light.
     """
     mu, weight = np.polynomial.legendre.leggauss(24)
     mu, weight = 0.5 * (mu + 1.0), 0.5 * weight

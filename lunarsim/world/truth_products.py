@@ -41,7 +41,8 @@ class TruthProducts:
     safe
         Exact safety for the lander at every heading (Definition III.1 of the Gaussian DEM paper).
     shadow
-        Whether the cell's centre is in shadow; True everywhere at night.
+        Whether the cell's centre is in shadow; False where the elevation is unknown. With the Sun
+        below the horizon, only faces turned away from it are True.
     """
 
     grid: Grid
