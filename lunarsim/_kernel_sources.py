@@ -51,7 +51,11 @@ def linked_modules(module: str) -> frozenset[str]:
 
 
 def _module_of(value: Any) -> str:
-    """Return the name of the module that defines an object; of a module, its name."""
+    """Return the name of the module that defines an object.
+
+    For a module this is its own name; for objects other than functions, kernels and classes it is
+    "".
+    """
     if isinstance(value, ModuleType):
         return value.__name__
     value = _function_of(value) or value

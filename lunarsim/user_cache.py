@@ -24,9 +24,10 @@ def user_cache(name: str) -> Path:
 def ensure_caches() -> None:
     """Select a temporary cache folder if the user's cache folder is not writable.
 
-    The selection is stored in environment variables, so that other libraries and processes started
-    later use it too. Matplotlib needs a folder for its
-    configuration as well. A ``~`` that no shell has expanded is expanded here.
+    A warning is printed then, and also if no folder can be created. The selection is stored in
+    environment variables, so that other libraries and processes started later use it too.
+    Matplotlib needs a folder for its configuration as well. A ``~`` that no shell has expanded is
+    expanded here.
     """
     for variable in ("XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR"):
         given = os.environ.get(variable, "")

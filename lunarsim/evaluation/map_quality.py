@@ -93,7 +93,7 @@ class MapQuality:
 def map_quality(
     hazard_map: HazardMap, truth: TerrainTruth, error: ArrayLike, level: float = 0.5
 ) -> MapQuality:
-    """Compare the observed cells of a hazard map with the true safety.
+    """Count the observed cells of a hazard map by predicted and true safety.
 
     Parameters
     ----------

@@ -85,7 +85,7 @@ class SiteSamples:
         evidence
             Inputs of the safety calibration at each cell of the map.
         mask, safe
-            Observed sites to take, and whether each site is safe (rows, cols).
+            Which cells to take as sites, and whether each cell is safe (rows, cols).
         flight
             Index of the flight.
         """
@@ -118,16 +118,19 @@ class SiteSamples:
         return SiteSamples(*(getattr(self, f.name)[mask] for f in fields(self)))
 
     def domain(self) -> CalibrationDomain:
-        """Return the range of site features that these sites cover.
+        """Return the calibration domain: the range of site features of these sites.
 
-        Sites outside the domain of the regressions supplied with lunarsim are included if there are
-        enough of them for a fit.
+        Sites outside the domain of the regressions supplied with lunarsim are included only if
+        there are enough of them for a fit.
         """
         s = self if has_enough_sites(self.safe[~self.known]) else self.at(self.known)
         return CalibrationDomain.of(s.hazards, s.tilting, s.noise, s.spacing)
 
     def inside(self, domain: CalibrationDomain) -> BoolArray:
-        """Return which sites lie in a domain of a calibration (n,)."""
+        """Return which sites lie in a domain of a calibration (n,).
+
+        The features are expected undetected rocks, noise and sample spacing.
+        """
         few = domain.is_within_counts(self.hazards, self.tilting)
         return np.asarray(few & domain.is_within_measurements(self.noise, self.spacing))
 
@@ -255,9 +258,11 @@ class CrossValidation:
 
     Attributes
     ----------
-    packaged_domain, refit_domain
-        Comparison on the sites where the regressions supplied with lunarsim apply, and on the sites
-        in the domain of the refit.
+    packaged_domain
+        Comparison on the sites in the domain of the regressions supplied with lunarsim, if these
+        regressions agree.
+    refit_domain
+        Comparison on the sites in the domain of the refit.
     """
 
     packaged_domain: CalibrationComparison
@@ -374,7 +379,11 @@ def _compute_quality(
 
 
 def _per_flight(flight: IntArray, values: Array | BoolArray | None, flights: int) -> Array:
-    """Return the sum of values (n,), or their count, of each flight (flights,)."""
+    """Return the sum of the values (n,) of each flight (flights,).
+
+    `flight` (n,) are the indices of the flights; if `values` is None, the number of elements of
+    each flight is returned.
+    """
     return np.bincount(flight, weights=values, minlength=flights).astype(np.float64)
 
 
@@ -404,7 +413,10 @@ def _bias_corrected_interval(resampled: Array) -> Array:
 def with_quality(
     refit: ScenarioCalibration, cross_validation: CrossValidation
 ) -> ScenarioCalibration:
-    """Return a calibration that also stores its cross-validated accuracy."""
+    """Return a copy of a calibration that also stores its cross-validated accuracy.
+
+    `refit` is the calibration; the accuracy of the supplied calibration is stored too.
+    """
     groups = {
         "packaged_domain": cross_validation.packaged_domain,
         "refit_domain": cross_validation.refit_domain,

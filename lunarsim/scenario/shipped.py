@@ -83,7 +83,7 @@ def _hint(name: str, known: Iterable[str]) -> str:
 
 
 def description_of(path: Path) -> str:
-    """Return the value of the key ``description`` of a scenario file."""
+    """Return the value of the key ``description`` of a scenario file, or ""."""
     return str(tomllib.loads(path.read_text(encoding="utf-8")).get("description", ""))
 
 

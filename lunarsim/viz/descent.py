@@ -32,7 +32,7 @@ _PHASES = {1: "vertical descent", 2: "abort", 3: "braking"}
 def draw_descent(flight: Flight, path: Path | None = None) -> Figure:
     """Draw a flight's altitude profile, and speeds, tilt, thrust and events over time.
 
-    The figure is also written to the PNG file `path` if it is given.
+    The figure is returned, and also written to the PNG file `path` if it is given.
     """
     figure = new_figure(12, 8.2)
     names = ("events", "speed", "tilt", "thrust", "propellant")

@@ -41,7 +41,7 @@ _MAX_CELLS = 1500
 
 
 def _path_and_sites(axes: Any, flight: Flight, radius: float) -> None:
-    """Draw ground track, landing sites and touchdown in the true frame.
+    """Draw ground track, initial aim point, diverts and touchdown in the true frame.
 
     `radius` is the radius of the circle at the touchdown, m.
     """
@@ -124,7 +124,8 @@ def _draw_truth(figure: Any, left: Any, right: Any, truth: TerrainTruth) -> None
 def _draw_map(figure: Any, panel: Any, flight: Flight, line_length: int) -> None:
     """Draw the hazard map used for the decision, and the candidate sites.
 
-    `line_length` is the maximum number of characters per line of a remark.
+    Remarks on the mapper, if there are any, are added as text; `line_length` is the maximum number
+    of characters per line. Without a hazard map the panel is empty.
     """
     if flight.hazard_map is not None:
         shown = np.where(flight.hazard_map.observed, flight.hazard_map.p_safe, np.nan)
@@ -146,14 +147,17 @@ def _draw_map(figure: Any, panel: Any, flight: Flight, line_length: int) -> None
 
 
 def _add_colour_bar(figure: Any, drawn: Any, panel: Any, label: str) -> Any:
-    """Draw a colour bar below its panel, clear of the next panel's axis."""
+    """Draw a colour bar below its panel, clear of the next panel's axis; return it.
+
+    `drawn` is the image whose colours the bar explains.
+    """
     return figure.colorbar(drawn, ax=panel, label=label, location="bottom", shrink=0.8, aspect=30)
 
 
 def _hatch_bounds(panel: Any, hazard_map: HazardMap, grid: Grid) -> None:
     """Hatch the cells outside the calibrated domain, where p_safe is heuristic.
 
-    `grid` is the grid of the map in the true frame.
+    `grid` is the grid of the map in the true frame. Nothing is drawn if the map has no domain.
     """
     if hazard_map.in_domain is None:
         return
