@@ -101,7 +101,8 @@ def _xdg_folder(variable: str, below_home: str) -> Path:
 def _temporary_folder() -> Path:
     """Create a temporary cache folder for this user only and return its path.
 
-    All processes of the user share the folder, unless its owner or its permissions are not trusted.
+    All processes of the user share the folder. If a folder of its name exists with another owner,
+    or with access for other users, a new folder is created for this process.
     """
     import stat  # noqa: PLC0415  (seldom needed)
     import tempfile  # noqa: PLC0415

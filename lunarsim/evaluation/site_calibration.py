@@ -309,7 +309,8 @@ def cross_validate(
 def check_site_counts(sites: SiteSamples) -> None:
     """Raise `InputError` if too few safe or unsafe sites are available for a fit.
 
-    There must be enough of both either inside or outside the domain of the regressions.
+    There must be enough safe and enough unsafe sites inside the domain of the regressions supplied
+    with lunarsim, or enough of each outside this domain.
     """
     safe, known = sites.safe, sites.known
     if not (has_enough_sites(safe[known]) or has_enough_sites(safe[~known])):
@@ -348,7 +349,8 @@ def _compute_quality(
 ) -> ProbabilityQuality:
     """Compute the accuracy of probabilities `p` (n,) on the sites of a mask (n,).
 
-    `flight_weights` is explained in `_compare_probabilities`.
+    `flight_weights` (resamples, flights) are the numbers of times that each bootstrap resample
+    contains each flight, as in `_compare_probabilities`.
     """
     flights = flight_weights.shape[1]
     s, p = sites.at(mask), p[mask]
@@ -400,9 +402,9 @@ def _interval(resampled: Array) -> Array:
 def _bias_corrected_interval(resampled: Array) -> Array:
     """Return a statistic and its bootstrap interval, corrected for resampling bias.
 
-    For a statistic that is non-negative and increases with noise, such as the calibration error,
-    resampling adds noise. The interval is therefore shifted back by the mean increase. `resampled`
-    is explained in `_interval`.
+    `resampled` holds the statistic of the original sample, then those of the resamples. For a
+    statistic that is non-negative and increases with noise, such as the calibration error,
+    resampling adds noise. The interval is therefore shifted back by the mean increase.
     """
     value, low, high = _interval(resampled)
     rest = resampled[1:][np.isfinite(resampled[1:])]

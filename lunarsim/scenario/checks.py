@@ -211,7 +211,11 @@ def _kinds_of(contract: str, base: type) -> str:
 
 
 def _check_mappers(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
-    """Check that the sensors, mappers and filter that each hazard mapper needs exist."""
+    """Check that each hazard mapper has what it needs, and that its map is valid.
+
+    A mapper needs sensors, and some need other mappers, a certain navigation filter, or a range of
+    Sun elevations.
+    """
     for name, part in scenario.mappers.items():
         mapper = part.make()
         field = f"mappers.{name}"

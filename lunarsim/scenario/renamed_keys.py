@@ -142,7 +142,8 @@ def current_steps(path: list[str]) -> list[str]:
 def first_path(path: str) -> str:
     """Translate a current scenario key to the dotted path of the first version.
 
-    Labels of random streams use these names, so that renaming a key changes no random number.
+    A key that was not renamed is returned unchanged. Labels of random streams use these names, so
+    that renaming a key changes no random number.
 
     Examples
     --------

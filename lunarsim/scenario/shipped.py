@@ -88,7 +88,10 @@ def description_of(path: Path) -> str:
 
 
 def copy_to(name: str, target: Path) -> list[Path]:
-    """Copy a supplied scenario and its data files; return the written files.
+    """Copy a supplied scenario and its data files; return the paths of the copies.
+
+    A data file that already exists with the same contents is not written again; its path is
+    returned too.
 
     Parameters
     ----------

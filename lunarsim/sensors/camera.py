@@ -137,7 +137,8 @@ class Camera(CameraModel):
     def with_field_of_view(cls, width: int, height: int, degrees: float, **more: object) -> Camera:
         """Return a camera with square pixels and a horizontal field of view of `degrees`.
 
-        `width` and `height` are the size of the image, pixels; `more` are other fields.
+        `width` and `height` are the size of the image, pixels; `more` are other fields of the
+        camera.
         """
         if not (isinstance(degrees, float | int | np.floating) and 0.0 < degrees < 170.0):
             raise InputError(
@@ -192,7 +193,7 @@ class Camera(CameraModel):
         Raises
         ------
         InputError
-            If the camera is below the terrain.
+            If the camera is below the terrain, or position or attitude are not valid.
         RenderingError
             If OpenGL is missing.
         """
@@ -228,7 +229,7 @@ class Camera(CameraModel):
         """Render the radiance factor of a view; a rolling shutter exposes band after band.
 
         `state` is the true state in the middle of the exposure; `view` includes the border that
-        distortion requires.
+        distortion requires, and so does the result (height, width).
         """
         bands = [(0, view.height, state)]
         if self.shutter == "rolling":
@@ -368,7 +369,7 @@ class Camera(CameraModel):
 
 
 def _check_pose(state: State) -> None:
-    """Raise InputError unless position and attitude of a state are valid."""
+    """Raise InputError unless a state has a finite position and a unit quaternion."""
     check_finite_position(state.position)
     if not is_rotation(state.attitude):
         raise InputError(

@@ -320,7 +320,8 @@ class BiasedLidar:
         """Measure the ranges of all pixels in one flash, with noise and constant errors.
 
         `state` is the true state at the reported `time`, s, and `mount` (3, 3) the reported
-        rotation, sensor to body. The lander's motion is assumed constant over the latency.
+        rotation, sensor to body. The lander's motion is assumed constant over the latency. Ranges
+        without a return, or not positive with their bias, are NaN.
         """
         used_mount = DOWNWARD_MOUNT if mount is None else mount
         aim = quat_to_matrix(quat_from_rotation_vector(self.boresight))

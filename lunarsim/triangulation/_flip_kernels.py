@@ -88,7 +88,7 @@ def _runs_forward(x, y, first, step, count):
 
 @kernel(inline=True)
 def _link_twins(twin, e, f):
-    """Link two half-edges as twins."""
+    """Link the half-edges e and f as twins of each other in `twin`."""
     twin[e] = f
     twin[f] = e
 

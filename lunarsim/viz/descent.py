@@ -58,7 +58,11 @@ def draw_descent(flight: Flight, path: Path | None = None) -> Figure:
 
 
 def _event_marks(flight: Flight) -> list[tuple[str, str, str, list[float]]]:
-    """Return label, marker, colour and times (s) of each kind of event in a flight."""
+    """Return label, marker, colour and times (s) of each kind of event in a flight.
+
+    Kinds without an event are omitted. Of scans, images and locks, only the first is given if there
+    are more than 8.
+    """
     found = []
     for name, (label, marker, colour) in _EVENT_STYLES.items():
         times = [float(e["time"]) for e in flight.events if e["name"] == name]

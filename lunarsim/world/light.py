@@ -211,7 +211,7 @@ class Light:
 
     @property
     def _photometry_key(self) -> Light:
-        """Copy of the settings with a fixed Sun direction, used as a cache key."""
+        """Copy of the photometric settings with a fixed Sun direction, as a cache key."""
         return Light(
             0.0, 0.5, self.albedo, 0.0, self.photometry, self.hapke_b, self.hapke_c,
             self.hapke_surge, self.hapke_surge_width, self.hapke_roughness,

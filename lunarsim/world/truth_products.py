@@ -98,7 +98,8 @@ def truth_grid(world: World, centre: tuple[float, float], size: float, posting: 
     Raises
     ------
     InputError
-        If a value is not positive or the square extends beyond the terrain.
+        If `posting` is not positive, if the square has fewer than 10 or more than 8,000 cells along
+        a side, or if it extends beyond the terrain.
     """
     if not (np.isfinite(posting) and posting > 0.0):
         raise InputError("--posting", posting, "must be positive and finite")

@@ -90,8 +90,9 @@ def tiles_in_view(low, high, radius, viewpoint, to_sensor, fx, fy, cx, cy, width
 def tiles_that_shade(low, high, margin, viewpoint, lean, axes, corner, texel, width, height):
     """Return which tiles (t,) may contain a rock that casts shadows onto a shadow map.
 
-    `low`, `high` (t, 3) and `margin` (t,) are bounds of the tiles; the map is given by `lean`,
-    `axes`, `corner` and `texel` of `ShadowFrame`, and has `width` x `height` texels.
+    `low`, `high` (t, 3) and `margin` (t,) are bounds of the tiles, as from `tile_bounds`;
+    `viewpoint` (3,) is the camera. The map is given by `lean`, `axes`, `corner` and `texel` of
+    `ShadowFrame`, and has `width` x `height` texels.
     """
     count = low.shape[0]
     kept = np.zeros(count, np.bool_)

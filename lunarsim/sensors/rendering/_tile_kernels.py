@@ -169,11 +169,13 @@ def _coarsest_level(error, n, max_error):
 def choose_tiles(low, high, error, viewpoint, axes, bounds, near, tolerance, shadow_tolerance):
     """Select the visible tiles of a relief and their levels of detail for a camera.
 
-    `low` and `high` (n, 3) are the tiles' bounding boxes, `error` (levels, n) their errors; `axes`
-    (3, 3) are the camera's axes, and `bounds` the tangents at the left, right, upper and lower
-    border of the image. `tolerance` and `shadow_tolerance` are errors per metre of distance.
-    Returns which tiles are visible (n,), levels (n,) for the image and for the shadow map, the
-    minimum distance of a visible tile, and the corners of the bounding box of all visible tiles.
+    `low` and `high` (n, 3) are the tiles' bounding boxes, `error` (levels, n) their errors, m;
+    `viewpoint` (3,) and `axes` (3, 3) are the camera's position and axes, ENU, `bounds` the
+    tangents at the left, right, upper and lower border of the image, and `near` is the minimum
+    depth, m. `tolerance` and `shadow_tolerance` are maximum errors per metre of distance, in the
+    image and in the shadow map. Returns which tiles are visible (n,), levels (n,) for the image and
+    for the shadow map, the minimum distance of a visible tile, and the corners of the bounding box
+    of all visible tiles.
     """
     count = low.shape[0]
     shown = np.zeros(count, np.bool_)

@@ -284,8 +284,9 @@ class Renderer:
     ) -> float:
         """Write the size of the Sun's disc in the shadow map into the uniform block.
 
-        Returns half the width of the widest penumbra, texels; 0 for a point Sun. `relief_shades` is
-        whether the relief casts shadows.
+        Returns half the width of the widest penumbra, texels. For a point Sun or without a shadow
+        map (`frame` None) the result is 0 and nothing is written. `relief_shades` is whether the
+        relief casts shadows.
         """
         if frame is None or light.diameter == 0.0:
             return 0.0
@@ -322,7 +323,7 @@ class Renderer:
         """Return which part of the shadow map an image reads.
 
         `choice` are the visible tiles, and `penumbra_half_width` is that of the widest penumbra,
-        texels.
+        texels. With penumbrae wider than a texel, the image may read any part.
         """
         if penumbra_half_width > 1.0:  # the search for penumbrae may read any texel
             return ShadowMapReads.anywhere(frame)

@@ -170,7 +170,8 @@ def frame_of_window(source: DatasetReader, window: Window, posting: float | None
     Raises
     ------
     InputError
-        If the file is not georeferenced and `posting` is not given or not sufficient.
+        If the georeferencing is not usable, or if there is none and `posting` is not given or not
+        sufficient.
     """
     transform = source.transform @ Affine.translation(window.col_off, window.row_off)
     if source.transform.is_identity:  # GDAL's value for a missing transform
