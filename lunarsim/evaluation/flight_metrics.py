@@ -127,8 +127,8 @@ def initial_aim_point(flight: Flight) -> Array:
 def safe_site_in_reach(flight: Flight, truth: TerrainTruth) -> bool:
     """Return whether a safe site was in reach when terrain was first mapped.
 
-    Safe means truly safe by `truth`; sites are cells that the hazard map observed, of which about
-    400 are tested. Without a map the result is False.
+    Safe means truly safe by `truth`; sites are cells that the hazard map observed. If many of them
+    are safe, only some hundred are tested. Without a map the result is False.
     """
     m, first = flight.hazard_map, flight.first_map
     if m is None or first is None:
