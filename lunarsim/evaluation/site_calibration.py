@@ -332,10 +332,10 @@ def _compare_probabilities(
     """
     flights = flight_weights.shape[1]
     score = [(p - sites.safe) ** 2 for p in (before, after)]
-    gain = _per_flight(sites.flight[mask], (score[0] - score[1])[mask], flights)
+    gain = _sum_per_flight(sites.flight[mask], (score[0] - score[1])[mask], flights)
     with np.errstate(invalid="ignore"):
         gains = (flight_weights @ gain) / (
-            flight_weights @ _per_flight(sites.flight[mask], None, flights)
+            flight_weights @ _sum_per_flight(sites.flight[mask], None, flights)
         )
     return CalibrationComparison(
         _compute_quality(sites, before, mask, flight_weights),
@@ -359,7 +359,7 @@ def _compute_quality(
     def total(values: Array | BoolArray | None, among: BoolArray | None = None) -> Array:
         at = s.flight if among is None else s.flight[among]
         given = values if values is None or among is None else values[among]
-        sums: Array = flight_weights @ _per_flight(at, given, flights)
+        sums: Array = flight_weights @ _sum_per_flight(at, given, flights)
         return sums
 
     bins = np.array(
@@ -372,7 +372,7 @@ def _compute_quality(
         spread = base * (1.0 - base)
         skill = 1.0 - total((p - s.safe) ** 2) / number / np.where(spread > 0.0, spread, np.nan)
         gap = total(p - s.safe, confident) / total(None, confident)
-        share = number / (flight_weights @ _per_flight(sites.flight, None, flights))
+        share = number / (flight_weights @ _sum_per_flight(sites.flight, None, flights))
         ece = np.abs(table[..., 1] - table[..., 2]).sum(axis=1) / number
     return ProbabilityQuality(
         len(s), _interval(share), _interval(base), _bias_corrected_interval(ece), _interval(skill),
@@ -380,7 +380,7 @@ def _compute_quality(
     )  # fmt: skip
 
 
-def _per_flight(flight: IntArray, values: Array | BoolArray | None, flights: int) -> Array:
+def _sum_per_flight(flight: IntArray, values: Array | BoolArray | None, flights: int) -> Array:
     """Return the sum of the values (n,) of each flight (flights,).
 
     `flight` (n,) are the indices of the flights; if `values` is None, the number of elements of

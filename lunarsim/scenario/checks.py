@@ -225,7 +225,7 @@ def _check_mappers(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
         if isinstance(mapper, ShadowMapping):
             _check_other_mappers(field, mapper.check_terrain_mapper, scenario)
             _check_sun_elevation(field, scenario.sun.elevation_deg)
-        _check_map(field, mapper, scenario)
+        _check_map_size(field, mapper, scenario)
         _check_sensors(field, mapper, scenario.sensors, sensors)
         needed = getattr(mapper, "navigation", None)
         if needed is not None and not isinstance(scenario.navigation.make(), needed):
@@ -288,7 +288,7 @@ def _check_other_mappers(
         raise error.with_field(f"{field}.{error.field}") from None
 
 
-def _check_map(field: str, mapper: Any, scenario: CheckedTables) -> None:
+def _check_map_size(field: str, mapper: Any, scenario: CheckedTables) -> None:
     """Check that a mapper's map is neither too small, too coarse nor too large.
 
     The cell side must be at most half the lander's leg radius, the side of the map at least 4 leg

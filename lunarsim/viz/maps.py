@@ -40,7 +40,7 @@ _LINE_LENGTH = {True: 34, False: 60}
 _MAX_CELLS = 1500
 
 
-def _path_and_sites(axes: Any, flight: Flight, radius: float) -> None:
+def _draw_path_and_diverts(axes: Any, flight: Flight, radius: float) -> None:
     """Draw ground track, initial aim point, diverts and touchdown in the true frame.
 
     `radius` is the radius of the circle at the touchdown, m.
@@ -92,7 +92,7 @@ def draw_maps(
     _draw_measurements(figure, panels[3], flight)
     outlines = draw_reach(panels[2], flight, bounds)
     for panel in panels:
-        _path_and_sites(panel, flight, truth.lander.leg_radius)
+        _draw_path_and_diverts(panel, flight, truth.lander.leg_radius)
         panel.set_xlim(west, east)
         panel.set_ylim(south, north)
         # Align panels with and without a colour bar at the top.
@@ -132,7 +132,7 @@ def _draw_map(figure: Any, panel: Any, flight: Flight, line_length: int) -> None
         grid = flight.hazard_map.grid.moved(-flight.map_error)
         image = show(panel, shown, grid, cmap="viridis", vmin=0.0, vmax=1.0)
         _add_colour_bar(figure, image, panel, "Probability of safety")
-        _hatch_bounds(panel, flight.hazard_map, grid)
+        _hatch_outside_domain(panel, flight.hazard_map, grid)
         sites = flight.candidates[:, :2] - flight.map_error[:2]
         panel.plot(*sites.T, **_CANDIDATE)
     map_axes(panel, "Hazard map and candidate sites")
@@ -154,7 +154,7 @@ def _add_colour_bar(figure: Any, drawn: Any, panel: Any, label: str) -> Any:
     return figure.colorbar(drawn, ax=panel, label=label, location="bottom", shrink=0.8, aspect=30)
 
 
-def _hatch_bounds(panel: Any, hazard_map: HazardMap, grid: Grid) -> None:
+def _hatch_outside_domain(panel: Any, hazard_map: HazardMap, grid: Grid) -> None:
     """Hatch the cells outside the calibrated domain, where p_safe is heuristic.
 
     `grid` is the grid of the map in the true frame. Nothing is drawn if the map has no domain.
