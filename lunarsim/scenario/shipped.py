@@ -83,12 +83,15 @@ def _hint(name: str, known: Iterable[str]) -> str:
 
 
 def description_of(path: Path) -> str:
-    """Return the value of the key ``description`` of a scenario file."""
+    """Return the value of the key ``description`` of a scenario file, or ""."""
     return str(tomllib.loads(path.read_text(encoding="utf-8")).get("description", ""))
 
 
 def copy_to(name: str, target: Path) -> list[Path]:
-    """Copy a supplied scenario and its data files; return the written files.
+    """Copy a supplied scenario and its data files; return the paths of the copies.
+
+    A data file that already exists with the same contents is not written again; its path is
+    returned too.
 
     Parameters
     ----------

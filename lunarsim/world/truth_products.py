@@ -41,7 +41,8 @@ class TruthProducts:
     safe
         Exact safety for the lander at every heading (Definition III.1 of the Gaussian DEM paper).
     shadow
-        Whether the cell's centre is in shadow; True everywhere at night.
+        Whether the cell's centre is in shadow; False where the elevation is unknown. With the Sun
+        below the horizon, only faces turned away from it are True.
     """
 
     grid: Grid
@@ -97,7 +98,8 @@ def truth_grid(world: World, centre: tuple[float, float], size: float, posting: 
     Raises
     ------
     InputError
-        If a value is not positive or the square extends beyond the terrain.
+        If `posting` is not positive, if the square has fewer than 10 or more than 8,000 cells along
+        a side, or if it extends beyond the terrain.
     """
     if not (np.isfinite(posting) and posting > 0.0):
         raise InputError("--posting", posting, "must be positive and finite")

@@ -55,7 +55,8 @@ def has_downward_heights(source: DatasetReader) -> bool:
 def special_values(source: DatasetReader) -> list[float]:
     """Return the raw values that a planetary label reserves for missing heights.
 
-    GDAL's no-data value of the open file is not included.
+    GDAL's no-data value of the open file is not included. The result is empty for other formats
+    than ISIS3, PDS3 and PDS4.
     """
     dtype = np.dtype(source.dtypes[0])
     if source.driver == "ISIS3":
