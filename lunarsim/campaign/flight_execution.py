@@ -254,7 +254,8 @@ def _same_path_scenarios(
 ) -> dict[int, Scenario]:
     """Return the scenarios of other arms of a group that differ only in policy.
 
-    `draws` are the random values of the flight by key.
+    The result is by index of the arm; an arm that refuses the random values is omitted. `draws` are
+    the random values of the flight by key.
     """
     found = {}
     for i in group.arms if study.paths else ():

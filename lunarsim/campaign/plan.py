@@ -72,7 +72,10 @@ class DependentFlights(Protocol):
     stop: int | None
 
     def resume(self, rows: Iterable[Mapping[str, Any]]) -> list[int]:
-        """Add existing result rows; return flights that do not follow from earlier ones."""
+        """Add existing result rows; return the flights whose predecessors are missing.
+
+        These flight indices do not follow from earlier results, so their rows are not added.
+        """
         ...
 
     def add(self, flight: int, row: Mapping[str, Any]) -> None:

@@ -70,7 +70,7 @@ class StopRequest:
     def on_signals(self, engine: Engine) -> Iterator[None]:
         """Set the flag on SIGINT and SIGTERM; a second signal raises `KeyboardInterrupt`.
 
-        Nothing is set up for an engine that does not poll the flag.
+        Nothing is set up for an engine that does not poll the flag, or outside the main thread.
         """
         if threading.current_thread() is not threading.main_thread() or not engine.polls_halt:
             yield

@@ -78,7 +78,9 @@ def fly_on_shared_path(
 ) -> Simulation:
     """Fly one arm to the end, from where its path leaves that of earlier arms.
 
-    Return the finished simulation.
+    An arm is a variant of the scenario. Arms that differ only in policy share a path until their
+    decisions differ. If `branches` has a branch of the arm, its flight resumes there, or the branch
+    is the finished flight; otherwise it is flown from the start. Return the finished simulation.
 
     Parameters
     ----------
@@ -139,8 +141,9 @@ def _store_branches(
 ) -> None:
     """Store a branch for arms whose decision differs from that of the flown arm.
 
-    Arms with equal decisions share a branch. `decisions` has the decisions by index of the
-    arm, and is emptied; `branches` receives the branch of each arm.
+    Arms with equal decisions share a branch. `decisions` has the decisions by index of the arm, and
+    is emptied; `branches` receives the branch of each arm. If the simulation cannot be copied,
+    nothing is stored, and these arms are flown from the start.
     """
     if not decisions:
         return

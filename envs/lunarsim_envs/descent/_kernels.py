@@ -58,11 +58,11 @@ def begin(
 ):  # fmt: skip
     """Sample start, target and world of new flights for the landers of `mask` (n,).
 
-    `keys` and `flight_counts` (n,) are the random streams and their numbers of flights;
-    `world_ranges` (n, 2) has the first allowed world and the number of worlds. `initial_attitude`
-    is a quaternion, `initial_mass_thrust` in kg and N. `smooth_terrains` and `frame` are terrain
-    without rocks. Other arguments are attributes of `DescentBatch`. `thread_slice` is (thread,
-    number of threads).
+    Writes `y`, `rate`, `target`, `world`, `time` and `ended`, and adds 1 to `flight_counts`. `keys`
+    and `flight_counts` (n,) are the random streams and their numbers of flights; `world_ranges` (n,
+    2) has the first allowed world and the number of worlds. `initial_attitude` is a quaternion,
+    `initial_mass_thrust` in kg and N. `smooth_terrains` and `frame` are terrain without rocks.
+    Other arguments are attributes of `DescentBatch`. `thread_slice` is (thread, number of threads).
     """
     for i in range(thread_slice[0], len(y), thread_slice[1]):
         if not mask[i]:
@@ -213,9 +213,10 @@ class Flights(NamedTuple):
 
 @kernel()
 def _end_flight(i, y, vehicle, terrains, flights):
-    """End the flight of lander `i` if its state `y` is a touchdown or off the map.
+    """End the flight of lander `i` if it touches the terrain or is below the map.
 
-    Records the end in `flights` and returns 1, or returns 0 if the flight continues.
+    `y` (15,) is its state. Returns 1 and writes the touchdown to `flights`, or returns 0 if the
+    flight continues.
     """
     w = flights.world[i]
     z, frame = terrains.z[w], terrains.frame
@@ -261,8 +262,8 @@ def _set_command(states, loop_state, n, action, guided, control, heading, payloa
     """Convert the action of one lander to commanded thrust, and attitude or torques.
 
     `action` is a thrust acceleration, m/s^2, if `guided`, otherwise thrust and torques, N and N m.
-    The command goes to column `n` of `loop_state`. It is computed with the nominal mass, without
-    the random `payload`, kg.
+    The command is limited, and written to column `n` of `loop_state`. It is computed with the
+    nominal mass, without the random `payload`, kg. `attitude` (4,) is scratch.
     """
     if guided:
         loop_state[loop.THRUST, n] = thrust_attitude(
@@ -334,9 +335,9 @@ def advance(
 ):
     """Fly all flying landers for `steps` integration steps, or to their end.
 
-    `y` (n, 15) are the states and `rate` (n, 3) the measured body rates; `actions` are thrust
-    accelerations if `guided`, otherwise thrust and torques. `dt` and `time_limit` are in s; landers
-    are flown in blocks of `width`. `thread_slice` is (thread, number of threads).
+    Updates the states `y` (n, 15), the measured body rates `rate` (n, 3) and `flights`. `actions`
+    are thrust accelerations if `guided`, otherwise thrust and torques. `dt` and `time_limit` are in
+    s; landers are flown in blocks of `width`. `thread_slice` is (thread, number of threads).
     """
     v, ended = vehicle, flights.ended
     gains, max_torque = v.control[3:6], v.control[6:]

@@ -254,7 +254,10 @@ class DescentBatch:
         return self._flight_counts
 
     def seed(self, mask: BoolArray, keys: NDArray[np.uint64]) -> None:
-        """Set the random keys (64-bit) of lanes `mask` (n,), which fix their flights."""
+        """Set the random keys of the lanes of `mask` (n,), one key per selected lane.
+
+        The key, a 64-bit integer, fixes all later flights of its lane.
+        """
         self._keys[mask] = keys
         self._flight_counts[mask] = 0
         self._counts[mask] = 0
@@ -320,9 +323,9 @@ class DescentBatch:
         return np.asarray(self.params[:, 4] - self.y[:, 13])
 
     def failure_causes(self, lane: int) -> tuple[str, ...]:
-        """Return why the flight of a lane failed: the violated limits.
+        """Return why the flight of a lane failed: the names of the violated limits.
 
-        A flight that reached the time limit gives ``("time-limit",)``.
+        A flight that reached the time limit gives ``("time-limit",)``, a safe landing ``()``.
         """
         if self.ended[lane] == LATE:
             return ("time-limit",)

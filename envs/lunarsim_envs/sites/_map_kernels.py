@@ -295,8 +295,8 @@ def map_cell(i, x, y, maps):
 def downsample(thread_slice, mask, p, seen, out):
     """Downsample the maps of landers `mask` (n,) to p_safe and observed fraction.
 
-    `p` and `seen` are (n, rows, cols), `out` is (n, 2, cells, cells). `thread_slice` is (thread,
-    number of threads).
+    `p` and `seen` are (n, rows, cols). Writes the means in equal blocks to `out` (n, 2, cells,
+    cells). `thread_slice` is (thread, number of threads).
     """
     rows, cols, cells = p.shape[1], p.shape[2], out.shape[2]
     total = np.zeros((cells, cells))

@@ -171,9 +171,10 @@ def _grid_indices(count, corner, posting, grid_corner, grid_spacing, out):
 def _remove_unreachable(row, col, side, reach_map, score, masked, score_maxima, reachable):
     """Remove unreachable map cells in a square of the reach grid from the candidates.
 
-    `reachable` are the flags of the cells in the square; an empty array means that none is
-    reachable. Updates p_safe `masked`, `score` (rows, cols) and its row maxima `score_maxima`
-    (rows,).
+    The square has `side` reach-grid cells per side from (row, col). `reachable` (side * side,) are
+    the flags of these cells by row; an empty array means that none is reachable. In unreachable map
+    cells, p_safe `masked` (rows, cols) becomes 0 and `score` (rows, cols) `NOWHERE`; the row maxima
+    `score_maxima` (rows,) are updated.
     """
     rows, cols = masked.shape
     ratio = reach_map.grid[2] / reach_map.posting
@@ -192,10 +193,10 @@ def _remove_unreachable(row, col, side, reach_map, score, masked, score_maxima, 
 
 @kernel()
 def _evaluate_around(r, c, reach_map, tiles, blocks, lander, masked, score, score_maxima):
-    """Compute reachability around map cell (r, c), unless it is known.
+    """Compute reachability around map cell (r, c), unless it is already known.
 
     Removes unreachable cells from the maps `masked` (p_safe) and `score`. `tiles` and `blocks` mark
-    what was evaluated. Returns whether the candidates may have changed.
+    what has been evaluated. Returns false if the reachability was known; then nothing changes.
     """
     row, col = reach_map.grid_row[r] // _TILE, reach_map.grid_col[c] // _TILE
     if tiles[row, col]:
@@ -294,7 +295,7 @@ def select_reachable(
 
 @kernel()
 def replace_unreachable(cells, cost, count, reachable, reachable_count):
-    """Replace unreachable candidates by reachable cells; return the new number.
+    """Replace unreachable candidates in `cells` by reachable cells; return the count.
 
     `cells` (m, 2) has `count` candidates with `cost` (inf if unreachable); `reachable` has
     `reachable_count` cells. If the candidates already include all of these, nothing changes.

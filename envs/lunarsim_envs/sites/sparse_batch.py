@@ -50,7 +50,7 @@ class FlightSummary:
     safe_by_p_safe: IntArray
 
     def __add__(self, other: FlightSummary) -> FlightSummary:
-        """Return the summary of the flights of both."""
+        """Return the summary of the flights in this summary and another one."""
         return FlightSummary(
             self.flights + other.flights, self.safe + other.safe,
             {name: self.failed[name] + other.failed[name] for name in self.failed},

@@ -92,7 +92,8 @@ def landings_plot(
     """Plot touchdown points and 95 % landing ellipses over the terrain.
 
     `statistics` has one entry per arm. `terrain` has east and north coordinates, m, and shading, or
-    is the reason why the terrain is not shown.
+    is the reason why the terrain is not shown. Without touchdown points in the results, the plot is
+    None.
     """
     if "touchdown_x_m" not in results.manifest["columns"]:
         return None
@@ -149,7 +150,10 @@ def _outline(ellipse: Ellipse) -> tuple[list[float], list[float]]:
 
 
 def reliability_plot(results: Results, statistics: list[ArmStatistics]) -> Plot | None:
-    """Plot the observed fraction of truly safe sites against predicted probability."""
+    """Plot the observed fraction of truly safe sites against predicted probability.
+
+    Without a column of predicted probabilities, the plot is None.
+    """
     if "p_safe" not in results.manifest["columns"]:
         return None
     predicted = column(results, "p_safe")
@@ -238,7 +242,10 @@ def rare_plot(estimates: list[RareFailureEstimate]) -> Plot:
 
 
 def levels_plot(chains: SubsetChains) -> Plot | None:
-    """Plot the distribution of the failure metric in the levels of subset simulation."""
+    """Plot the distribution of the failure metric in the levels of subset simulation.
+
+    Without a finished level, the plot is None.
+    """
     traces: list[Plot] = []
     reached = 1.0
     for number, level in enumerate(chains.levels):
