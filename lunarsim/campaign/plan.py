@@ -72,9 +72,10 @@ class DependentFlights(Protocol):
     stop: int | None
 
     def resume(self, rows: Iterable[Mapping[str, Any]]) -> list[int]:
-        """Add existing result rows; return the flights whose predecessors are missing.
+        """Start again from existing result rows; return the flights that do not fit.
 
-        These flight indices do not follow from earlier results, so their rows are not added.
+        The result has flight indices. A flight does not fit if a predecessor is missing, or if its
+        values do not follow from its predecessors; its row is not added.
         """
         ...
 

@@ -71,7 +71,8 @@ def count_contradictions(
     """Count the pairs of agents that surrogate and mapper rank in opposite order.
 
     `results` holds the flights by agent and perception. Returns, by metric, the number of
-    contradicting pairs, of pairs with the same order, and of all pairs.
+    contradicting pairs, of pairs with the same sign of difference (0 if the interval contains
+    zero), and of all pairs.
     """
     counts = {"safe": [0, 0, 0], "propellant": [0, 0, 0]}
     for pair in combinations(agents, 2):

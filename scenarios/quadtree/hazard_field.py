@@ -231,7 +231,10 @@ def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def print_fields(report: Report) -> None:
-    """Print the metrics of all fields and the sites of the first; plot the first field."""
+    """Print the metrics of all fields, and the ranked sites of the first field.
+
+    If there is an output folder, the first field is also plotted.
+    """
     summary, first = summarise(report.rows), report.rows[0]
     n, lock = summary["fields"], summary["lock_time_median_s"]
     report.print(

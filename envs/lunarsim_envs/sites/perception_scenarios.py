@@ -23,9 +23,9 @@ def with_perception(scenario: Scenario, perception: str) -> Scenario:
 
     If the scenario has a mapper of this kind, decisions use that mapper. Otherwise one is added:
 
-    - "quadtree" replaces the current mapper, with the same scans and map area. - "shadows" replaces
-    all mappers; a camera is added if there is none, and navigation
-      tracks rocks.
+    - "quadtree" replaces the current mapper, with the same scans and map area.
+    - "shadows" replaces all mappers; a camera is added if there is none, and inertial navigation is
+      replaced by one that tracks rocks.
     - "fused" combines the current LiDAR mapper with a shadow mapper.
 
     Parameters
