@@ -90,7 +90,7 @@ def count_contradictions(
 
 
 def main() -> int:
-    """Fly the agents on surrogate and mapper and print both rankings."""
+    """Fly the agents on surrogate and mapper; print and compare the two rankings."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--scenario",

@@ -159,7 +159,7 @@ def cell_indices(xy: np.ndarray, corner: np.ndarray, size: float) -> np.ndarray:
 
 
 def compare_heights(cloud: AirborneCloud, seed: int) -> dict[str, HeightErrors]:
-    """Map a random half of the LiDAR returns by each method; test on the others.
+    """Map a random half of the LiDAR returns by each method; test on the other half.
 
     Returns the height errors by name of the method.
     """
@@ -213,7 +213,7 @@ class SafetyComparison:
 
 
 def compare_safety(cloud: AirborneCloud, mapped_fraction: float, seed: int) -> SafetyComparison:
-    """Map a fraction of the LiDAR returns; test p_safe on the others.
+    """Map a fraction of the LiDAR returns; test p_safe on the other returns.
 
     The lander is scaled with the spacing of the mapped returns.
     """

@@ -240,10 +240,10 @@ def _end_flight(i, y, vehicle, terrains, flights):
 
 @kernel(exact=True)
 def _load_states(start, stop, ended, y, lanes, states):
-    """Copy the states of the flying landers from `start` to `stop` - 1 to `states`.
+    """Copy the states of the flying landers from `start` to `stop` - 1 to a block.
 
-    `states` (15, width) has one column per lander; empty columns repeat the first lander. Writes
-    the indices of the landers to `lanes` and returns their number.
+    The block `states` (15, width) has one column per lander; empty columns repeat the first lander.
+    Writes the indices of the landers to `lanes` and returns their number.
     """
     count = 0
     for i in range(start, stop):
@@ -279,10 +279,11 @@ def _set_command(states, loop_state, n, action, guided, control, heading, payloa
 
 @kernel(exact=True)
 def _load_lander(i, states, loop_state, n, params, rate, vehicle, height_ranges, reach, flights):
-    """Copy parameters and attitude-loop state of lander i to column n of a block.
+    """Copy parameters and attitude-loop state of lander `i` to column `n` of a block.
 
-    Writes `loop_state`, whose rows are those of `_loop_kernels`, and `params` (5, width). `reach`
-    is the distance from the centre of mass to the pads plus a margin, m.
+    A block has several landers, one per column. Writes `loop_state`, whose rows are those of
+    `_loop_kernels`, and `params` (5, width). `reach` is the distance from the centre of mass to the
+    pads plus a margin, m.
     """
     for k in range(5):
         params[k, n] = vehicle.params[i, k]
@@ -305,7 +306,11 @@ def _load_lander(i, states, loop_state, n, params, rate, vehicle, height_ranges,
 
 @kernel(exact=True)
 def _store_lander(states, loop_state, n, i, y, rate, flights):
-    """Copy state, body rate and time from column n of a block back to lander i."""
+    """Copy state, body rate and time from column `n` of a block back to lander `i`.
+
+    A block has several landers, one per column of `states` and `loop_state`. Writes `y`, `rate` and
+    `flights.time`.
+    """
     for s in range(15):
         y[i, s] = states[s, n]
     for k in range(3):
@@ -317,7 +322,8 @@ def _store_lander(states, loop_state, n, i, y, rate, flights):
 def _end_flights(states, loop_state, count, lanes, y, rate, vehicle, terrains, flights):
     """End the flights of landers in a block that have touched down or left the map.
 
-    `count` is the number of landers in the block and `lanes` their indices. Returns the number of
+    A block has several landers, one per column of `states` and `loop_state`. `count` is their
+    number and `lanes` their indices. Writes `y`, `rate` and `flights`; returns the number of
     flights that ended in this step.
     """
     count_ended = 0

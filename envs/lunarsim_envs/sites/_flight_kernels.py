@@ -229,7 +229,7 @@ def compute_command(i, y, time, guidance, law, command, scratch):
 def _extend_time_to_go(i, y, time, guidance, law):
     """Delay the arrival of lander `i` if the minimum-propellant path takes longer.
 
-    The kernel is called when the current path exceeds limits.
+    The kernel is called when the current path exceeds limits. Writes `guidance.arrival`.
     """
     longer = optimal_time_to_go(y, guidance.drift_velocity[i], time, guidance.site[i], law)
     if longer > guidance.arrival[i] - time:
@@ -328,9 +328,9 @@ def decide(
     """Apply site decisions of the landers of `mask` (n,).
 
     `sites` (n, 3) are new sites (NaN keeps the site) and `time_factors` (n,) factors on the
-    minimum-propellant time-to-go (NaN: none). Writes to `refused` and `factor_ignored` (n,) whether
-    the site was out of reach and whether the factor was ignored. `thread_slice` is (thread, number
-    of threads).
+    minimum-propellant time-to-go (NaN: none). Writes the new sites and arrival times to `guidance`,
+    and to `refused` and `factor_ignored` (n,) whether the site was out of reach (the site is kept
+    then) and whether the factor was ignored. `thread_slice` is (thread, number of threads).
     """
     for i in range(thread_slice[0], len(y), thread_slice[1]):
         if not mask[i]:

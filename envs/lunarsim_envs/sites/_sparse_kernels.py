@@ -43,7 +43,8 @@ def _mean_around(
 def _is_better(p, distance, best_p, best_distance):
     """Return whether a site is better than the best site so far.
 
-    Sites with p_safe of 0.95 or more are compared by their distance, others by p_safe.
+    Sites with p_safe of 0.95 or more are better than all others, and are compared by their
+    distance; sites with less are compared by p_safe.
     """
     if p >= _ENOUGH:
         return best_p < _ENOUGH or distance < best_distance
