@@ -70,7 +70,7 @@ class DependentFlights(Protocol):
     flights
         Number of flights of the first level, which depend on no others.
     stop
-        Number of flights of the complete campaign, once it is known.
+        Number of flights of the complete campaign; None until it is known.
     """
 
     flights: int

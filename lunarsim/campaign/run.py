@@ -220,7 +220,7 @@ def _fly_groups(
 def _missing_groups(plan: Plan, store: Store) -> Iterator[Group | None]:
     """Yield the groups of flights without a stored result, in order.
 
-    None means that all others wait for running flights.
+    With method subset, None means that all other groups wait for running flights.
     """
     if plan.chains is not None:
         yield from plan.chains.groups(store.has)

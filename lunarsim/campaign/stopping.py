@@ -27,7 +27,7 @@ class IntervalWidthRule:
     Attributes
     ----------
     stop
-        Number of flights to keep, once it is known.
+        Number of flights to keep; None until the rule is satisfied.
     """
 
     def __init__(self, metric: str, width: float, arms: int) -> None:

@@ -86,7 +86,7 @@ class SubsetChains:
     levels
         Complete levels.
     stop
-        Number of flights of the complete campaign, once it is known.
+        Number of flights of the complete campaign; None until it is known.
     is_stalled
         Whether the campaign ended because too many flights of a level had equal margins.
     """

@@ -75,7 +75,10 @@ def make_simulation(field: int, seed: int, folder: Path) -> Simulation:
 
 
 def fly(case: Case) -> dict[str, Any]:
-    """Simulate the LiDAR sweep over one field; return metrics."""
+    """Simulate the LiDAR sweep over one field; return metrics of map and navigation.
+
+    They are those of `fly_field`, without the arrays for figures.
+    """
     found = fly_field(case.number, case.seed)
     looks = [{k: v for k, v in one.items() if k != "maps"} for one in found["looks"]]
     return {k: v for k, v in found.items() if k != "track"} | {"looks": looks}

@@ -275,7 +275,11 @@ FITS = {
 
 
 def report_rates(report: Report) -> None:
-    """Print false-negative, false-detection and clearing rates and lines; plot them."""
+    """Print the error rates of the shadow detector by shadow size, and fitted lines.
+
+    The rates are those of missed and merged rocks, false detections and cleared hazards. If there
+    is an output folder, they are also plotted.
+    """
     data, options = pooled_rates(report.rows), report.options
     images = IMAGES_PER_FIELD * len(report.groups("number"))
     shape = options["shape"]

@@ -144,7 +144,7 @@ class Surrogate:
     def check(self, scenario: Scenario) -> None:
         """Check that the surrogate holds for the mapper and sensor of a scenario.
 
-        Scenarios with only the first scans are accepted.
+        A scenario with fewer scans is accepted if their altitudes are the first ones of the fit.
 
         Raises
         ------

@@ -262,7 +262,10 @@ def _children(process: int) -> list[int]:
 
 @contextlib.contextmanager
 def _flight_time_limit(seconds: float | None) -> Iterator[None]:
-    """Raise `_FlightTimeoutError` in the enclosed code after a number of seconds."""
+    """Raise `_FlightTimeoutError` in the enclosed code after a number of seconds.
+
+    None is no limit.
+    """
     if seconds is None:
         yield
         return

@@ -331,7 +331,8 @@ def _timing(results: Results) -> dict[str, Any]:
 def _terrain_image(results: Results) -> tuple[list[float], list[float], Any] | str | None:
     """Return coordinates and shading of the terrain for the plot of landings.
 
-    Return the reason if the terrain cannot be built, and None if it differs between flights.
+    The result is the reason if the terrain cannot be built, and None if it differs between flights
+    or the folder has no scenario.
     """
     if not (results.folder / "scenario.toml").is_file() or any(
         key.startswith("terrain") for key in results.manifest["inputs"]
