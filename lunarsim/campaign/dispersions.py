@@ -399,7 +399,10 @@ class Dispersions:
                         )
 
     def _check_table(self, name: str, is_given: bool) -> None:
-        """Raise InputError unless the table of the method `name` is given exactly with it."""
+        """Check that the table of a sampling method is given if and only if it is used.
+
+        `name` is the method and its table. Otherwise an `InputError` is raised.
+        """
         if (self.method == name) == is_given:
             return
         problem = (

@@ -25,8 +25,9 @@ def draw(
 ) -> None:
     """Plot the errors on a map and by predicted sigma, and the reliability of p_safe.
 
-    `first` and `heights` are the height errors of the first split and of all splits, by map;
-    `safety` is the safety comparison by mapped fraction of the returns.
+    A split divides the returns at random into mapped and held-out ones. `first` and `heights` are
+    the height errors of the first split and of all splits, by map; `safety` is the safety
+    comparison by mapped fraction of the returns.
     """
     figure = new_figure(13.5, 8.2)
     axes = figure.subplots(2, 3)

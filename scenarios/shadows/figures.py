@@ -44,9 +44,10 @@ def _unpacked(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def draw_paths(first_flights: dict[str, dict[str, Any]], path: Path) -> None:
-    """Plot both descents from the side and from above (shadow EKF paper, Figure 4).
+    """Plot the nominal and the modified descent, from the side and from above.
 
-    `first_flights` holds the first flight by name of the path.
+    The figure is Figure 4 of the shadow EKF paper. `first_flights` holds the first flight by name
+    of the path, "nominal" or "modified".
     """
     figure = new_figure(9.0, 3.8)
     side, top = figure.subplots(1, 2)

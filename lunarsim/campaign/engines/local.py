@@ -95,9 +95,7 @@ class LocalEngine:
         The parameters are those of `Engine.fly`. A flight whose process dies is started up to
         `MAX_ATTEMPTS` times.
 
-        Raises
-        ------
-        WorkersDieError
+        Raises ------ WorkerStartError
             If workers end before they are ready.
         """
         source = iter(groups)
@@ -162,7 +160,12 @@ class LocalEngine:
             worker.group = None
 
     def _handle_death(self, worker: _Worker) -> Iterator[Finished]:
-        """Queue the flights of a dead worker again; yield a flight that keeps dying."""
+        """Put the unfinished flights of a dead worker back in the queue.
+
+        A flight whose process has died `MAX_ATTEMPTS` times is not repeated: its result with the
+        outcome "killed" is yielded. If as many workers in a row ended before they were ready, a
+        `WorkerStartError` is raised.
+        """
         code = self._remove_worker(worker)
         group = worker.group
         assert group is not None
