@@ -262,7 +262,6 @@ def _hover(run: ApolloDescentRun) -> str:
 )
 @click.option(
     "--terrain",
-    "ground",
     type=click.Choice(["random", "measured"]),
     default="random",
     show_default=True,
@@ -281,7 +280,7 @@ def _hover(run: ApolloDescentRun) -> str:
 )
 @click.option(
     "--json",
-    "file",
+    "json_file",
     type=click.Path(path_type=Path),
     help="JSON file for the results of all runs. Default: none.",
 )
