@@ -57,10 +57,10 @@ def evaluate_path(state, target, final, time_to_go, table, powers, params, terms
     """Evaluate a polynomial path; return whether it is admissible, and write its cost.
 
     `out` (4,) receives delta-v (m/s), time (s), maximum thrust (N) and maximum tangent of the tilt;
-    `terms` (2, 3) is a work array. `state`, `target`, `final` and `powers` are those of
-    `power_terms`. `table` (samples + 1, 3) is the fraction of time left at the samples, from 1 to
-    0, and its two powers. `params` (7,): gravity, mass, exhaust velocity, minimum and maximum
-    thrust, tangents of maximum tilt and glideslope.
+    it is not written if the path is not admissible. `terms` (2, 3) is a work array. `state`,
+    `target`, `final` and `powers` are those of `power_terms`. `table` (samples + 1, 3) is the
+    fraction of time left at the samples, from 1 to 0, and its two powers. `params` (7,): gravity,
+    mass, exhaust velocity, minimum and maximum thrust, tangents of maximum tilt and glideslope.
     """
     power_terms(state, target, final, time_to_go, powers, terms)
     d, e = powers[0] + 1.0, powers[1] + 1.0

@@ -181,7 +181,7 @@ class TerrainRaster:
         """Return slopes and height at the origin (3,) of a plane above nearby terrain.
 
         `posts` (n, 3) are terrain points; those within `reach` (m, horizontal) of the point
-        `centre` are used.
+        `centre` are used. Raise InputError if there are fewer than three.
         """
         near = posts[np.hypot(*(posts[:, :2] - centre[:2]).T) <= reach]
         if len(near) < 3:
@@ -315,11 +315,12 @@ def _linearise_terrain(
     rounds: int,
     is_last: bool,
 ) -> OptimalPath | None:
-    """Linearise the terrain about a path until both agree; None if no path is found.
+    """Plan repeatedly above the terrain, each time linearised about the last path.
 
-    `path` is the first path, `rounds` the maximum number of linearisations, `clearance` the minimum
-    height above the terrain, m. A path outside the grid raises an error if `is_last`: no other path
-    or start is left.
+    `path` is the first path, `rounds` the maximum number of linearisations; the search ends when
+    the delta-v converges. The result is the best path that is at least `clearance`, m, above the
+    terrain, or None if there is none. A path outside the grid raises an error if `is_last`: no
+    other path or start is left.
     """
     best: OptimalPath | None = None
     for _ in range(rounds):

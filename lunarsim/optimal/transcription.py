@@ -227,9 +227,10 @@ class Transcription:
         return np.concatenate(parts, axis=1)
 
     def _dynamics(self) -> sparse.csc_matrix:
-        """Return the matrix of the equality constraints: dynamics, then both ends.
+        """Return the matrix of the equality constraints: dynamics, then end states.
 
-        The dynamics are positions as integrals of velocities.
+        The dynamics are positions as integrals of velocities; the end states are the initial and
+        the final state.
         """
         n, node, s = self.structure.intervals, self._node, self.structure
         half = 0.5 / n
@@ -353,9 +354,10 @@ class Transcription:
         return out
 
     def _control_point_entries(self, coefficients: Array) -> Array:
-        """Return matrix entries (n, 2 k or 3 k) for constraints on control points.
+        """Return the matrix entries for constraints on control points.
 
-        `coefficients` (n, k) multiply the coordinates of the control points.
+        `coefficients` (n, k) multiply the coordinates of the control points. The result is (n, 2
+        k), or (n, 3 k) if the end of the path is free.
         """
         half = 0.5 / self.structure.intervals
         parts = [coefficients, half * coefficients] + (

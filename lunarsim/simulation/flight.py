@@ -153,7 +153,10 @@ class Flight:
 
     @property
     def map_error(self) -> Array:
-        """Local minus true coordinates (3,), m, of the map that decisions used."""
+        """Local minus true coordinates (3,), m, of the map that decisions used.
+
+        It is zero if there is no such map.
+        """
         record = self.maps.get(self.decision_mapper)
         return np.zeros(3) if record is None else record.error
 
@@ -191,7 +194,10 @@ class Flight:
 
     @property
     def divert_distance(self) -> float:
-        """Horizontal distance from the site before the first divert to the last site, m."""
+        """Horizontal distance from the site before the first divert to the last site, m.
+
+        It is 0 without a divert.
+        """
         if not self.decisions:
             return 0.0
         first, last = self.decisions[0]["from"], self.decisions[-1]["to"]

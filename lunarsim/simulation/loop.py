@@ -41,7 +41,7 @@ def make_policy(scenario: Scenario, policy: RetargetingPolicy | str | None) -> A
     Raises
     ------
     InputError
-        If the policy does not exist.
+        If the policy does not exist, or uses the truth without stating this in its name.
     """
     made: Any = policy
     if isinstance(policy, str):
@@ -253,7 +253,10 @@ class Simulation:
     # --- the loop -------------------------------------------------------------------------
 
     def apply(self, decision: Decision) -> bool:
-        """Apply a divert decision; return False if its site is not reachable."""
+        """Apply a divert decision; return False if its new site is refused.
+
+        A site is refused if it is out of reach or out of sight, or while diverts are inhibited.
+        """
         return self.computer.apply(decision)
 
     @one_blas_thread()

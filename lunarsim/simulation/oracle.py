@@ -58,10 +58,11 @@ class TruthOracle:
         error: Array,
         cost_of: Callable[[Array], DivertCost],
     ) -> Decision:
-        """Keep a site with enough clearance; else choose the nearest reachable one.
+        """Keep a truly safe site with enough clearance; else divert to the nearest one.
 
-        Without a site of the required clearance, 0.8 of the maximum clearance is enough. If no site
-        is reachable, the site is kept.
+        The clearance is the distance to the nearest unsafe cell. If no site has the required
+        clearance, 0.8 of the maximum clearance is enough. Only a subset of many sites is tested for
+        reachability. If no tested site is reachable, the current site is kept.
 
         Parameters
         ----------

@@ -227,7 +227,8 @@ class Plant:
     def _evaluate_outcome(self, touched: bool, abort: bool) -> None:
         """Set the landing outcome if the flight has ended.
 
-        `touched` states whether a pad is in contact, and `abort` whether the lander is aborting.
+        The flight ends if a pad is in contact (`touched`), if the lander is below the terrain, if
+        an aborting lander (`abort`) climbs well above the terrain, or at the time limit.
         """
         terrain = self.world.terrain
         if touched and self.legs is not None:

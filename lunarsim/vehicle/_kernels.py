@@ -197,10 +197,10 @@ def rk4_step(y, dt, thrust_command, torque, params, inertia, rig, work):
 
 @kernel()
 def advance_bodies(y, dt, thrust_command, torque, params, inertia, rig, work):
-    """Advance bodies (15, N) by one step, and limit their propellant, in place.
+    """Advance bodies (15, N) by one step in place, with limited propellant.
 
-    The commanded thrust of an engine without propellant becomes 0. The arguments are those of
-    `rk4_step`.
+    For an engine without propellant, `thrust_command` and thrust become 0; no mass falls below that
+    of empty tanks. The arguments are those of `rk4_step`.
     """
     # Thruster propellant is summed elsewhere: allow for rounding.
     thruster_propellant = (1.0 - 1e-6) * rig[16]

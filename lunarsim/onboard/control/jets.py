@@ -123,7 +123,8 @@ class JetLoop(AttitudeLoop):
     def _detect_failures(self) -> None:
         """Update the failure detector with the last period; stop using failed thrusters.
 
-        The detector compares the measured rate change of the period with the commanded one.
+        The detector compares the measured rate change of the period with the commanded one. Failed
+        thrusters stay in use if the others cannot produce a torque in every direction.
         """
         rate, before = self.state[4:7].copy(), self._rate
         self._rate = rate

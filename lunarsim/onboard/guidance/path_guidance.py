@@ -69,7 +69,10 @@ class ActuatorLagModel:
         self._response[COMMAND_TIME] = np.nan
 
     def advance(self, time: float) -> None:
-        """Propagate the modelled acceleration of the vehicle to `time`, s."""
+        """Propagate the modelled acceleration of the vehicle to `time`, s.
+
+        It approaches the last recorded command exponentially.
+        """
         advance_response(self._response, time, self.lag)
 
     def record_command(self, acceleration: Array) -> None:
@@ -77,7 +80,10 @@ class ActuatorLagModel:
         self._response[COMMANDED:COMMAND_TIME] = acceleration
 
     def predict(self, estimate: Estimate) -> tuple[Array, Array]:
-        """Predict position and velocity (3,), m and m/s, one lag ahead."""
+        """Predict position and velocity (3,), m and m/s, one lag ahead.
+
+        The modelled acceleration from the last call of `advance` is held constant over the lag.
+        """
         ahead = np.empty((2, 3))
         state = np.array([estimate.position, estimate.velocity])
         predict_response(state, self._response, self.lag, ahead)

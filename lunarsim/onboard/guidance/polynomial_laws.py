@@ -44,7 +44,10 @@ from lunarsim.typing import Array
 
 @dataclass(frozen=True)
 class EGuidanceLaw(PathLaw):
-    """Settings of the E-guidance law (Cherry 1964): acceleration linear in time."""
+    """Settings of the E-guidance law (Cherry 1964): acceleration linear in time.
+
+    The law itself is the `PathGuidance` that `build` returns for one flight.
+    """
 
     @property
     def shape(self) -> PathShape:

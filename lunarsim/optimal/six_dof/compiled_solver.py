@@ -33,6 +33,8 @@ def find_compiler() -> str | None:
 def compiled_library(name: str, build_solver: Callable[[], Any]) -> Path:
     """Compile the functions of a CasADi solver to a library, or find it in the cache.
 
+    The result is the path of the library.
+
     Parameters
     ----------
     name

@@ -53,7 +53,11 @@ class QuadraticProgram:
 
 
 class _SparsePattern:
-    """Sparsity pattern that builds CSC matrices from entries in another order."""
+    """Sparsity pattern that builds CSC matrices from entries in another order.
+
+    `rows` and `columns` (n,) are the indices of the entries, in the order in which `matrix` gets
+    their values.
+    """
 
     def __init__(self, rows: Array, columns: Array, shape: tuple[int, int]) -> None:
         order = sparse.coo_matrix(
