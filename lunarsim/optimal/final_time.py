@@ -276,6 +276,10 @@ def remaining_log_mass(last: OptimalPath, elapsed: float, intervals: int) -> Arr
 def _search_cold(
     planner: Planner, descent: Descent, half_spaces: HalfSpaces | None
 ) -> OptimalPath | None:
+    """Search the minimum-propellant path without a last solution; None if infeasible.
+
+    The first final times are multiples of the time of the minimum-effort path.
+    """
     first = minimum_effort_time(descent)
     return search_near(
         planner, descent, (s * first for s in _TIME_FACTORS), half_spaces=half_spaces

@@ -210,6 +210,7 @@ class Transcription:
         self.cones = tuple(cones)
 
     def _add(self, name: str, columns: Indices) -> None:
+        """Append a group of constraints with the matrix columns of each row."""
         begin = max((r.stop for r in self.rows.values()), default=0)
         self.rows[name] = slice(begin, begin + len(columns))
         self._columns[name] = columns

@@ -142,6 +142,11 @@ class JetLoop(AttitudeLoop):
                 self.allocation = left
 
     def _command_thrusters(self) -> None:
+        """Compute and store the on-times and gimbal angles of the next period.
+
+        Thrusters that failed in the last period are excluded first. The mean torque of the firings
+        is written to `state[7:]`.
+        """
         self._detect_failures()
         error = np.empty(3)
         rotation_vector_between(self.state[:4], self.target, error)

@@ -129,6 +129,7 @@ def divert_cost(
 
 @lru_cache(maxsize=32)
 def _sample_table(shape: PathShape, samples: int) -> Array:
+    """Return `core.sample_table` of a path shape (samples + 1, 3), cached."""
     return np.asarray(core.sample_table(shape.powers, samples))
 
 

@@ -16,6 +16,7 @@ from lunarsim.parts.quantity import hidden, quantity
 
 
 def _fly_to(observation: Observation, index: int, reason: str) -> Decision:
+    """Return the decision to divert to a candidate, given by its index in the list."""
     c = observation.candidates
     return Decision(
         c.position[index],

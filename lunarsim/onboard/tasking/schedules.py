@@ -19,6 +19,10 @@ _DOWN = np.array([0.0, 0.0, -1.0])
 
 
 def _check_rate(sensor: str, key: str, rate: float, briefing: Briefing) -> None:
+    """Raise InputError if a rate (Hz) exceeds one measurement per control cycle.
+
+    `sensor` and `key` name the scenario key in the error.
+    """
     if rate * briefing.cycle > 1.0 + 1e-9:
         raise InputError(
             f"tasking.{sensor}.{key}",

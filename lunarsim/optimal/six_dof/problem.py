@@ -190,6 +190,7 @@ class RigidDescent:
         self._check_start()
 
     def _check_figures(self) -> None:
+        """Raise InputError if thrust range, gravity, a fraction, angle or rate is invalid."""
         low, high = self.lander.thrust_min, self.lander.thrust_max
         given = (self.thrust_min, self.thrust_max)
         if not (

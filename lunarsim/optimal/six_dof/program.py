@@ -113,6 +113,7 @@ class ProgramLayout:
         return r, c, c >= 0
 
     def _equalities(self) -> _SparsePattern:
+        """Return the sparsity pattern of motion and final state."""
         n = self.n
         r, c, keep = self._block_indices(STATES)
         nodes = np.arange(STATES * n)
@@ -126,6 +127,7 @@ class ProgramLayout:
         return _SparsePattern(rows, columns, (STATES * n + len(_FIXED_AT_END), self.count))
 
     def _inequalities(self) -> _SparsePattern:
+        """Return the sparsity pattern of path constraints and bounds of variables."""
         n = self.n
         r, c, keep = self._block_indices(_STEPS * LIMITS)
         first_row = _STEPS * LIMITS * n

@@ -64,6 +64,7 @@ class Scale:
         )
 
     def _scaled(self, states: Array) -> Array:
+        """Return states (..., 15) relative to the end, divided by their scales."""
         moved = states.copy()
         moved[..., :3] -= self.descent.end_position
         return np.asarray(moved / state_units(self.units))
