@@ -357,8 +357,8 @@ class Transcription:
     def _control_point_entries(self, coefficients: Array) -> Array:
         """Return the matrix entries for constraints on control points.
 
-        `coefficients` (n, k) multiply the coordinates of the control points. The result is (n, 2
-        k), or (n, 3 k) if the end of the path is free.
+        `coefficients` (n, k) multiply the coordinates of the control points. The result has n rows
+        and 2 k columns, or 3 k columns if the end of the path is free.
         """
         half = 0.5 / self.structure.intervals
         parts = [coefficients, half * coefficients] + (

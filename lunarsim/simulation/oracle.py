@@ -17,7 +17,8 @@ from lunarsim.parts.quantity import hidden, quantity
 from lunarsim.typing import Array
 from lunarsim.world.truth import TerrainTruth
 
-# Maximum number of sites tested for reachability, nearest first.
+# If there are n times as many sites, only every n-th in order of distance is tested for
+# reachability.
 _MAX_TESTED_SITES = 64
 # Clearance in standard deviations of the expected miss; 0.95 of all misses are smaller.
 _CLEARANCE_SIGMAS = 2.5

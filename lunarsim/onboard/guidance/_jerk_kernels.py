@@ -89,9 +89,9 @@ def min_times_to_go(thread_slice, position, velocity, targets, v_f, a_f, times, 
     """Find the minimum time-to-go within the limits of jerk and snap for each target.
 
     The path leads from `position` and `velocity` (3,) to `targets` (n, 3) with final velocity `v_f`
-    and acceleration `a_f` (3,), SI. `times` (m,), s, are tried in ascending order; the interval
-    before the first one that keeps the limits `jerk` (m/s^3) and `snap` (m/s^4) is bisected 40
-    times. `out` (n,) receives the minimum times, s, or NaN if none of `times` keeps the limits.
+    and acceleration `a_f` (3,), SI. `times` (m,), s, are tried in ascending order; the interval up
+    to the first one that keeps the limits `jerk` (m/s^3) and `snap` (m/s^4) is bisected 40 times.
+    `out` (n,) receives the minimum times, s, or NaN if none of `times` keeps the limits.
     `thread_slice` is (thread, number of threads).
     """
     count, inverse, good = targets.shape[0], 1.0 / times, np.empty(len(times), np.bool_)

@@ -215,8 +215,8 @@ class ScoreboardChoice:
     def decide(self, observation: Observation) -> Decision:
         """Return a divert to the reachable ranked site with the lowest cost.
 
-        The cost is the mapper's score plus weighted propellant. The current site is kept unless the
-        cost decreases by at least `hysteresis`, and if no ranked site is reachable.
+        The cost is the mapper's score plus weighted propellant. The current site is kept if the
+        cost decreases by less than `hysteresis`, or if no ranked site is reachable.
         """
         c = observation.candidates
         if observation.scoreboard is None:
