@@ -70,6 +70,11 @@ class Checkpoint:
 
 
 class _Writer(pickle.Pickler):
+    """Pickler of a simulation that writes shared objects as their index in `shared`.
+
+    Arrays that share memory still do so after reading.
+    """
+
     def __init__(self, file: io.BytesIO, shared: Sequence[Any]) -> None:
         super().__init__(file, protocol=5)
         self._shared_index = {id(obj): index for index, obj in enumerate(shared)}
@@ -126,6 +131,8 @@ def _rebuild_view(
 
 
 class _Reader(pickle.Unpickler):
+    """Unpickler that restores shared objects by their index in `shared`."""
+
     def __init__(self, file: io.BytesIO, shared: Sequence[Any]) -> None:
         super().__init__(file)
         self._shared = shared

@@ -134,12 +134,15 @@ class SceneImage:
         atomic_write(path, self._write_truth)
 
     def _repr_png_(self) -> bytes:
+        """Return the image as PNG data, which a notebook shows."""
         return cv2.imencode(".png", self.counts)[1].tobytes()
 
     def _write_png(self, path: Path) -> None:
+        """Write the image to a PNG file."""
         path.write_bytes(self._repr_png_())
 
     def _write_truth(self, path: Path) -> None:
+        """Write radiance, range, normal and identity to an NPZ file."""
         t = self.truth
         assert t is not None
         assert t.range is not None

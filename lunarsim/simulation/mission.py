@@ -132,6 +132,7 @@ def plan_time_to_go(
 
 
 def _as_estimate(state: State) -> Estimate:
+    """Return a true state as an estimate at time 0, with zero covariance."""
     return Estimate(
         0.0,
         state.position,

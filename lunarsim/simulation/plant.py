@@ -161,6 +161,11 @@ class Plant:
         return Measurements(self.time, tuple(items))
 
     def _measure(self, name: str, mount: Array | None) -> object:
+        """Return a measurement of a sensor by name, after a check of its type.
+
+        `mount` (3, 3) is the commanded rotation, sensor to body, which is limited to the gimbal
+        limit; None: no command.
+        """
         i = self._instruments[name]
         held = None if mount is None else limit_mount(mount.copy(), i.gimbal_limit)
         found = i.sensor.measure(self.world, self.state, self.time, i.rng, held)

@@ -254,6 +254,7 @@ def settle(legs: Legs, dynamics: Dynamics, state: State, terrain: ElevationModel
 
 
 def _tilt(state: State) -> float:
+    """Return the angle between body z and the vertical, rad."""
     return float(np.arccos(np.clip(quat_to_matrix(state.attitude)[2, 2], -1.0, 1.0)))
 
 
