@@ -19,7 +19,7 @@ from lunarsim._simd import SIMD_WIDTH, lane_max, load, store
 _DISTANCE_WEIGHT = np.float32(1e-3 / 100.0)
 # Score of excluded cells.
 NOWHERE = np.float32(-1e30)
-_NOUGHT, _WHOLE = np.float32(0.0), np.float32(1.0)
+_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 
 @kernel(finite=True)
@@ -44,8 +44,8 @@ def _score_row(p_safe, north_offset, east_offset, score):
     for c in range(len(p_safe)):
         east = east_offset[c]
         distance = np.sqrt(east * east + north_offset * north_offset)
-        value = p_safe[c] * (_WHOLE - _DISTANCE_WEIGHT * distance)
-        score[c] = value if p_safe[c] > _NOUGHT else NOWHERE
+        value = p_safe[c] * (_ONE - _DISTANCE_WEIGHT * distance)
+        score[c] = value if p_safe[c] > _ZERO else NOWHERE
 
 
 @kernel()

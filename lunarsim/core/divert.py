@@ -398,7 +398,7 @@ def propellant_for(delta_v, mass, law):
 
 
 @kernel(exact=True)
-def _is_own(n, thread_slice):
+def _is_thread_target(n, thread_slice):
     """Return whether target `n` is in a block of sixteen that a thread computes.
 
     `thread_slice` is (thread, number of threads).
@@ -417,7 +417,7 @@ def _search_longer_times(thread_slice, state, targets, first, searched, last, la
     indices = np.empty(len(targets), np.int64)
     count = 0
     for n in range(len(targets)):
-        mine = _is_own(n, thread_slice)
+        mine = _is_thread_target(n, thread_slice)
         if mine and not np.isfinite(out[n, 0]) and searched[n] < last[n]:
             indices[count] = n
             count += 1
@@ -453,7 +453,7 @@ def divert_costs(thread_slice, state, mass, targets, min_times, law, out):
     params[MASS] = mass
     longest = max_flight_time(speed, mass, law)
     for n in range(count):
-        if not _is_own(n, thread_slice):
+        if not _is_thread_target(n, thread_slice):
             continue
         distance = _distance(state, targets[n])
         fastest = min_flight_time(speed, distance, law)
@@ -469,7 +469,7 @@ def divert_costs(thread_slice, state, mass, targets, min_times, law, out):
     )  # fmt: skip
     _search_longer_times(thread_slice, state, targets, first, searched, last, law, params, out)
     for n in range(count):
-        if _is_own(n, thread_slice):
+        if _is_thread_target(n, thread_slice):
             out[n, 0] = propellant_for(out[n, 0], mass, law)
             if not np.isfinite(out[n, 0]):
                 out[n, 1:] = np.nan

@@ -242,13 +242,13 @@ class Plant:
             self.outcome = evaluate_touchdown(self.lander, self.state, terrain, self.world.gravity)
         elif self.world.is_below_terrain(self.state.position, self._low):
             self.outcome = LandingOutcome(False, ("off-map",), None)
-        elif abort and self._clear:
+        elif abort and self._is_clear_of_terrain:
             self.outcome = LandingOutcome(False, (ABORTED,), None)
         elif self.time >= self._max_time:
             self.outcome = LandingOutcome(False, ("time-limit",), None)
 
     @property
-    def _clear(self) -> bool:
+    def _is_clear_of_terrain(self) -> bool:
         """Whether the lander climbs well above all terrain, which completes an abort."""
         height = self.world.height(self.state.position) - self._high
         return bool(
