@@ -39,7 +39,7 @@ def compile_formula(function):
 
 
 def follow_path(state, target, final, time_to_go, gravity, gains, out):
-    """Do nothing: the formula of a law without feedback, which follows its paths."""
+    """Leave `out` unchanged: the formula of a law that only follows its paths."""
 
 
 @kernel()
@@ -47,8 +47,9 @@ def evaluate_formula(formula, state, target, final, time_to_go, gravity, gains, 
     """Evaluate a compiled formula; `out` (3,) receives its result, m/s^2.
 
     The result is an acceleration, gravity included. `state` (2, 3) is position and velocity,
-    `target` (3,) the end position, `final` (2, 3) final velocity and acceleration, `gravity` the
-    downward acceleration; `gains` are those of the law. All are in SI units.
+    `target` (3,) the end position, `final` (2, 3) final velocity and acceleration, `time_to_go` the
+    time to the end, `gravity` the downward acceleration; `gains` are those of the law. All are in
+    SI units.
     """
     formula(state, target, final, time_to_go, gravity, gains, out)
 

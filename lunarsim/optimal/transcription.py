@@ -371,7 +371,8 @@ class Transcription:
     ) -> dict[str, tuple[Array, Array]]:
         """Return entries and right-hand sides of maximum and minimum thrust constraints.
 
-        They hold at the interval centres.
+        They hold at the interval centres, and are linearised about `log_mass` (N,), ln(mass /
+        initial mass).
         """
         k = units.kappa
         unit_acceleration = self._unit_force(descent, units) * np.exp(-log_mass)

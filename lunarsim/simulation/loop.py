@@ -278,7 +278,10 @@ class Simulation:
             self.apply(self.ask(self._oracle, self.observe()))
 
     def ask(self, policy: Any, observation: Observation) -> Decision:
-        """Return the decision of any policy on an observation, without applying it."""
+        """Return the decision of a policy on an observation, without applying it.
+
+        A policy that uses the truth also receives the true landing safety.
+        """
         if getattr(policy, "knows_truth", False):
             truth_inputs = self.truth, self.navigation_error, self.computer.cost_of
             return policy.decide_by_truth(observation, *truth_inputs)  # type: ignore[no-any-return]

@@ -22,7 +22,7 @@ def limited_torque(error, rate, inertia, frequency, damping, slew_limit, max_tor
 
     `error` (rad) is the commanded minus the estimated angle, `rate` (rad/s) the angular rate, and
     `slew_limit` (rad/s) the limit of the commanded rate. `frequency` (rad/s) and `damping` (ratio)
-    are those of the closed loop.
+    are those of the closed loop. `inertia` is in kg m^2; `max_torque` (N m) limits the result.
     """
     # Large errors saturate the commanded rate as well as the torque.
     commanded_rate = min(max(frequency / (2.0 * damping) * error, -slew_limit), slew_limit)

@@ -43,7 +43,10 @@ class CompiledFeedback:
         self.gravity, self.gains = float(gravity), np.array(gains, dtype=np.float64)
 
     def __call__(self, position: Array, velocity: Array, end: PhaseEnd, time_to_go: float) -> Array:
-        """Return the acceleration towards `end` (3,), m/s^2, gravity included."""
+        """Return the acceleration towards `end` (3,), m/s^2, gravity included.
+
+        `position` and `velocity` (3,) are in m and m/s, `time_to_go` is in s.
+        """
         out = np.empty(3)
         evaluate_formula(
             self.formula, np.array([position, velocity], dtype=np.float64),

@@ -52,7 +52,7 @@ def initial_guess(descent: RigidDescent, intervals: int) -> InitialGuess:
     """Return a guess from the minimum-propellant path of a point mass.
 
     Body z is along the thrust, and yaw is that of the start. Rates and torques are differences of
-    the attitude.
+    the attitude. `intervals` is the number of intervals of the guess.
 
     Raises
     ------
