@@ -81,10 +81,10 @@ def sample_table(powers, samples):
 def acceleration_terms(work, target_index, state, final, axis, powers, inverse_time):
     """Compute one axis of the path coefficients for sixteen sites at once.
 
-    Returns what the lower of the two powers of time-to-go adds to the mean acceleration, and what
-    both add (compare `power_terms`). Scratch `work` has the target coordinates from `target_index`;
-    `state`, `final` and `powers` are those of `evaluate_path`, and `inverse_time` is one over the
-    times-to-go, 1/s.
+    Returns two SIMD vectors, m/s^2: the contribution of the lower power of time-to-go to the mean
+    acceleration, and the sum of the contributions of the two powers (compare `power_terms`).
+    Scratch `work` has the target coordinates from `target_index` on; `state`, `final` and `powers`
+    are those of `evaluate_path`, and `inverse_time` is one over the times-to-go, 1/s.
     """
     p = (final[0, axis] - state[1, axis]) * inverse_time - final[1, axis]
     q = ((state[0, axis] - load(work, target_index)) * inverse_time + final[0, axis]) * inverse_time
@@ -151,12 +151,13 @@ def evaluate_lanes(work, state, final, table, powers, params):
 
 @kernel(inner=True)
 def search_lanes(work, state, final, spans, count, skip, table, powers, params, best):
-    """Search the best time-to-go of sixteen sites among geometric steps.
+    """Search the best of several times-to-go, in geometric steps, for sixteen sites.
 
     `best` (16,) is the index of the best step; only negative entries (nothing found yet) are
     searched and overwritten. `spans` (3, 16) are first time, s, logarithm of the range of times,
-    and step of the logarithm. There are `count` steps; if `skip` is positive, its multiples are
-    omitted. `work` is scratch; the other arguments are those of `evaluate_path`.
+    and step of the logarithm. There are `count` steps; if `skip` is positive, steps whose index is
+    a multiple of it are omitted. `work` is scratch; the other arguments are those of
+    `evaluate_path`.
     """
     min_cost = np.full(SIMD_WIDTH, _INADMISSIBLE_COST)
     open_ = best < 0

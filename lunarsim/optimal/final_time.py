@@ -129,7 +129,7 @@ class _FinalTimeSearch:
     def _linearise_slope(self, slope: float) -> float:
         """Transform a cost derivative to a value about linear in the final time.
 
-        The transformation keeps the zero.
+        A derivative of zero stays zero.
         """
         if not np.isfinite(self.limit):
             return slope

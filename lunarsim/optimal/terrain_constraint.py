@@ -99,10 +99,10 @@ class TerrainRaster:
         return np.where(inside, (1.0 - t) * low + t * high, np.nan)
 
     def majorant(self, end: ArrayLike, sectors: int = 12, clearance: float = 0.0) -> Cone:
-        """Return a convex cone above all terrain plus a clearance, from an end point.
+        """Return a convex cone above all terrain, with its apex at the end of a path.
 
         `end` (3,) is the end of the path, ENU, m; the cone has one half-space per azimuth sector.
-        `clearance` is in m.
+        `clearance`, m, is added to the terrain.
 
         No half-space slopes downward: terrain below the end is not followed.
 

@@ -95,7 +95,10 @@ class _Writer(pickle.Pickler):
         return self._shared_index.get(id(obj))
 
     def reducer_override(self, obj: Any) -> Any:
-        """Pickle an array view so that it still shares memory with its base."""
+        """Pickle an array view so that it still shares memory with its base.
+
+        Other objects are pickled as usual. Raise `PicklingError` for a view that cannot be rebuilt.
+        """
         if type(obj) is not np.ndarray or obj.base is None:
             return NotImplemented
         root = obj

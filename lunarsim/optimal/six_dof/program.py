@@ -67,7 +67,7 @@ class _SparsePattern:
         self._matrix = order
 
     def matrix(self, values: Array) -> Any:
-        """Return the CSC matrix of this pattern with given entries."""
+        """Return the CSC matrix of this pattern with the entries `values` (n,)."""
         m = self._matrix
         return sparse.csc_matrix((values[self._order], m.indices, m.indptr), shape=m.shape)
 
