@@ -172,7 +172,7 @@ class CentralGravity:
     def inertial_velocity(self, position: ArrayLike, velocity: ArrayLike) -> Array:
         """Convert velocities (..., 3), m/s, of the rotating frame to inertial velocities.
 
-        The result is in a non-rotating frame with the same axes.
+        `position` (..., 3) is in m, ENU. The result is in a non-rotating frame with the same axes.
         """
         about = np.cross(self.spin, self.position_from_centre(position))
         return np.asarray(np.asarray(velocity, dtype=np.float64) + about)

@@ -93,7 +93,10 @@ class QocoSolver:
         self._solver: Any = None
 
     def solve(self, program: Program) -> SolverResult:
-        """Solve a cone program with the same sparsity pattern and cones as the first one."""
+        """Solve a cone program with the same sparsity pattern and cones as the first one.
+
+        The status of the result is "solved" or "failed".
+        """
         p = program
         if self._solver is None:
             self._solver = qoco.QOCO()
@@ -128,7 +131,10 @@ class ClarabelSolver:
         self.max_iterations = max_iterations
 
     def solve(self, program: Program) -> SolverResult:
-        """Solve a cone program and return its solution, or a proof of infeasibility."""
+        """Solve a cone program and return its solution, or a proof of infeasibility.
+
+        The status of the result is "solved", "infeasible" or "failed".
+        """
         p = program
         settings = clarabel.DefaultSettings()
         settings.verbose, settings.max_threads, settings.max_iter = False, 1, self.max_iterations
@@ -194,7 +200,10 @@ class FallbackSolver:
         self.fallback_count = 0
 
     def solve(self, program: Program) -> SolverResult:
-        """Solve a cone program with the same sparsity pattern and cones as the first one."""
+        """Solve a cone program with the same sparsity pattern and cones as the first one.
+
+        The status of the result is "solved", "infeasible" or "failed".
+        """
         answer = self.fast.solve(program)
         if answer.status == "solved":
             return answer
@@ -220,6 +229,9 @@ class QocoOnlySolver:
         self.fast = QocoSolver(max_iterations)
 
     def solve(self, program: Program) -> SolverResult:
-        """Solve a cone program with the same sparsity pattern and cones as the first one."""
+        """Solve a cone program with the same sparsity pattern and cones as the first one.
+
+        The status of the result is "solved" or "unsolved".
+        """
         answer = self.fast.solve(program)
         return answer if answer.status == "solved" else replace(answer, status="unsolved")

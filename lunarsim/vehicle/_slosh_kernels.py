@@ -229,9 +229,9 @@ def rates(
 ):
     """Write the derivatives of the state (15,) and of the slosh pendulums (n, 6).
 
-    `y` and `rod_states` are the state and the rods (direction and rate of each), `state_rates` and
-    `rod_rates` their derivatives; `tanks` (n, 7) is from `Slosh.table`; the other arguments are
-    those of `advance_body`.
+    `y` and `rod_states` are the state and the rods (direction and rate of each); `state_rates` and
+    `rod_rates` receive their derivatives. With nearly empty tanks `rod_rates` becomes 0. `tanks`
+    (n, 7) is from `Slosh.table`; the other arguments are those of `advance_body`.
     """
     dry, wet = params[3], params[4]
     derivative(
