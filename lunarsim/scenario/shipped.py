@@ -88,10 +88,9 @@ def description_of(path: Path) -> str:
 
 
 def copy_to(name: str, target: Path) -> list[Path]:
-    """Copy a supplied scenario and its data files; return the paths of the copies.
+    """Copy a supplied scenario and its data files; return the paths of the written files.
 
-    A data file that already exists with the same contents is not written again; its path is
-    returned too.
+    A data file that already exists with the same contents is not written again.
 
     Parameters
     ----------
@@ -114,10 +113,9 @@ def copy_to(name: str, target: Path) -> list[Path]:
     for old, new in pairs:
         if new.exists() and (new == target or new.read_bytes() != old.read_bytes()):
             raise InputError("--out", str(new), "must be a file that does not exist yet")
+    pairs = [(old, new) for old, new in pairs if not new.exists()]
     with ExitStack() as undo:
         for old, new in pairs:
-            if new.exists():
-                continue
             missing = [folder for folder in new.parents if not folder.exists()]
             for folder in reversed(missing):
                 folder.mkdir()

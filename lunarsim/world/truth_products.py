@@ -42,7 +42,7 @@ class TruthProducts:
         Exact safety for the lander at every heading (Definition III.1 of the Gaussian DEM paper).
     shadow
         Whether the cell's centre is in shadow; False where the elevation is unknown. With the Sun
-        below the horizon, only faces turned away from it are True.
+        below the horizon, all other cells are True.
     """
 
     grid: Grid
@@ -61,9 +61,10 @@ class TruthProducts:
         normal = terrain.normal(centres)
         slope = np.arccos(np.clip(normal[..., 2], -1.0, 1.0))
         sun = world.light.direction
-        dark = np.einsum("ijk,k->ij", normal, sun) <= 0.0
+        known = np.isfinite(elevation)
+        dark = known & ((np.einsum("ijk,k->ij", normal, sun) <= 0.0) | (sun[2] <= 0.0))
         if sun[2] > 0.0:
-            lit = ~dark & np.isfinite(elevation)
+            lit = known & ~dark
             points = np.dstack((centres, elevation.astype(np.float64)))
             start = points + _RAY_OFFSET_M * normal
             rays = np.broadcast_to(sun, (int(lit.sum()), 3))
