@@ -31,8 +31,8 @@ class FootprintArrays(NamedTuple):
     Attributes
     ----------
     legs, pad_windows, stand_windows, leg_windows, body_windows, depth, height, reach
-        Attributes of `Footprint` with the same names: cells of the legs, sets of cells as windows,
-        numbers of window levels, and maximum offset, in cells.
+        Attributes of `Footprint` with the same names: cells of the legs, four sets of cells as
+        windows, numbers of window levels along rows and columns, and maximum offset in cells.
     pad_reach
         Maximum offset of a cell under a pad, cells.
     inverse, first_leg
@@ -65,8 +65,8 @@ class PolygonBlocks(NamedTuple):
     first
         Index of the first block of each heading (headings + 1,); multiples of four.
     allowed
-        0 for each cell of a block that is in the polygon, else far below any terrain
-        (n block block,).
+        0 for each cell of a block that is in the polygon, else -FAR, which is far below any terrain
+        (n * block * block,); a block has `block` x `block` cells.
     distinct
         Distinct corners (k, 2): headings share many blocks.
     corner_index
@@ -137,7 +137,7 @@ class Footprint:
     def block_cells(self, side: float, posting: float) -> int:
         """Return the side in cells of square blocks of about `side` metres.
 
-        `posting` is the grid spacing, m.
+        `posting` is the grid spacing, m. The result is at least 1 and at most `reach`.
 
         Raises
         ------
@@ -189,10 +189,10 @@ def _leg_cells(legs: int, radius: float, heading: float) -> IntArray:
 
 
 def _distinct_headings(legs: int, radius: float) -> IntArray:
-    """Return the leg cells of every heading that differs on the grid.
+    """Return the cells of the legs at every heading that differs on the grid.
 
-    The result is (headings, legs, 2); `legs` is the number of legs, `radius` their distance from
-    the centre, cells.
+    The result (headings, legs, 2) holds (row, column) from the lander's centre; `legs` is the
+    number of legs, `radius` their distance from the centre, cells.
     """
     turn = 2.0 * np.pi / legs
     halves = np.arange(int(np.ceil(radius)) + 1) + 0.5
@@ -233,8 +233,8 @@ def _runs_of(mask: BoolArray, row0: int, col0: int) -> list[tuple[int, int, int]
 def _row_windows(mask: BoolArray, row0: int, col0: int) -> list[tuple[int, ...]]:
     """Return a set of cells as pairs of windows (level, row, column, row, column).
 
-    Both windows have 2**level columns; together they cover one row segment of `mask`, whose first
-    cell is at (row0, col0).
+    Both windows of a pair have 2**level columns and start at the two cells given; their union is
+    one row segment of `mask` (rows, cols), whose first cell is at row `row0`, column `col0`.
     """
     windows: list[tuple[int, ...]] = []
     for row, col, length in _runs_of(mask, row0, col0):
@@ -244,11 +244,12 @@ def _row_windows(mask: BoolArray, row0: int, col0: int) -> list[tuple[int, ...]]
 
 
 def _windows(mask: BoolArray, row0: int, col0: int, *, columns: bool = False) -> IntArray:
-    """Return a set of cells as windows whose lengths are powers of two (n, 5).
+    """Return a set of cells as pairs of windows of 2**level cells (n, 5).
 
-    `mask` is the set, and (row0, col0) is the offset of its first cell; `Footprint` describes a row
-    of the result. With `columns`, the middle rows are covered by windows along columns, if this
-    needs fewer windows: the sides of a ring are a few long columns.
+    `mask` (rows, cols) is the set, and (row0, col0) is the offset of its first cell; `Footprint`
+    describes a row of the result. n is a multiple of four: the last pair is repeated. With
+    `columns`, windows along columns are used in the rows near row 0 if this needs fewer windows:
+    the sides of a ring are a few long columns.
     """
     best = _row_windows(mask, row0, col0)
     rows = np.abs(np.arange(row0, row0 + len(mask)))

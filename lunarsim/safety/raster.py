@@ -129,7 +129,10 @@ def _check_shape(name: str, raster: NDArray[Any], grid: Grid, footprint: Footpri
 
 
 def _middle(raster: NDArray[Any]) -> float:
-    """Return the lower median of a sample of a raster's heights; 0 if there are none."""
+    """Return the lower median of a sample of a raster's heights, m.
+
+    Heights that are not finite or reach 1e9 m are ignored; if there are no others, it is 0.
+    """
     rows, cols = raster.shape
     some = raster[:: -(-rows // _MAX_SAMPLES), :: -(-cols // _MAX_SAMPLES)].ravel()
     some = some[np.abs(some) < _MAX_HEIGHT_M]
