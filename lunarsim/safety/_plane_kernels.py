@@ -111,6 +111,7 @@ def _four_blocks_above_plane(tops, site, blocks, centres, n, gx, gy):
 
 @kernel(inline=True)
 def _highest(four):
+    """Return the maximum of four vectors, lane by lane."""
     a, b, c, d = four
     return lane_max(lane_max(a, b), lane_max(c, d))
 

@@ -182,6 +182,11 @@ class Footprint:
 
 
 def _leg_cells(legs: int, radius: float, heading: float) -> IntArray:
+    """Return the cells (row, column) of a lander's legs at one heading (legs, 2).
+
+    `legs` is the number of legs, `radius` their distance from the centre, cells, and `heading` the
+    angle of the first leg from east, counter-clockwise, rad.
+    """
     angle = heading + 2.0 * np.pi * np.arange(legs) / legs
     # The tiny scale rounds half-way cases away from the centre at every heading.
     xy = radius * (1.0 + 1e-12) * np.column_stack((np.sin(angle), np.cos(angle)))
@@ -223,6 +228,10 @@ def polygon_runs(polygon: IntArray) -> list[tuple[int, int, int]]:
 
 
 def _runs_of(mask: BoolArray, row0: int, col0: int) -> list[tuple[int, int, int]]:
+    """Return the row segments (row, first column, length) of the True cells of a mask.
+
+    The first cell of `mask` (rows, cols) is at row `row0`, column `col0`.
+    """
     runs = []
     for i, line in enumerate(mask):
         edges = np.flatnonzero(np.diff(np.concatenate(([0], line.astype(np.int8), [0]))))
@@ -284,6 +293,11 @@ def _support_geometry(legs: IntArray) -> tuple[NDArray[np.float32], NDArray[np.f
 
 @lru_cache(maxsize=64)
 def _covers(footprint: Footprint, block: int) -> PolygonBlocks:
+    """Return square blocks of cells that cover the polygon of the legs per heading.
+
+    `block` is the side of a block in cells. The number of blocks of each heading is a multiple of
+    four: the last block is repeated.
+    """
     corners: list[tuple[int, int]] = []
     allowed: list[BoolArray] = []
     first = [0]
@@ -322,6 +336,7 @@ def _covers(footprint: Footprint, block: int) -> PolygonBlocks:
 
 
 def _triangle_height(points: Array) -> float:
+    """Return the height of a triangle of `points` (3, 2) over its longest side, cells."""
     a, b, c = points
     area2 = abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
     longest = max(np.hypot(*(b - a)), np.hypot(*(c - b)), np.hypot(*(a - c)))
@@ -330,6 +345,12 @@ def _triangle_height(points: Array) -> float:
 
 @lru_cache(maxsize=32)
 def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) -> Footprint:
+    """Return the footprint of a lander on a grid; raise InputError for bad sizes.
+
+    A size is bad if a leg is less than one cell or more than 256 cells from the centre. `legs` is
+    the number of legs; the other arguments are distance of the legs from the centre, radius of a
+    pad, and grid spacing, m.
+    """
     radius = leg_radius / posting
     if radius < 1.0:
         raise InputError(

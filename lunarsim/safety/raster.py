@@ -104,6 +104,7 @@ def _real_numbers(name: str, values: ArrayLike) -> NDArray[Any]:
 
 
 def _cast(kind: Any, raster: NDArray[Any]) -> NDArray[Any]:
+    """Convert a raster to the type `kind`; values too large for it become infinite."""
     with np.errstate(over="ignore"):  # overflow becomes infinity, hence unknown
         return raster.astype(kind, copy=False)
 
@@ -115,6 +116,10 @@ def _contiguous(raster: NDArray[Any]) -> NDArray[Any]:
 
 
 def _check_shape(name: str, raster: NDArray[Any], grid: Grid, footprint: Footprint) -> None:
+    """Raise InputError if a raster differs in shape from its grid or is too small.
+
+    It is too small if the footprint does not fit; `name` is the argument that the error names.
+    """
     if raster.shape != grid.shape:
         raise InputError(
             f"{name}.shape", raster.shape, f"must be the shape of the grid, {grid.shape}"

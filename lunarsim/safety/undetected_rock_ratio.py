@@ -131,6 +131,11 @@ class UndetectedRockRatio:
 
     @staticmethod
     def _make_non_increasing(ratio: NDArray[np.float32]) -> Array:
+        """Raise ratios (n, rows, cols) so that they do not increase with rock size.
+
+        Each class gets the maximum over its ratio and those of larger classes. The result (n + 1,
+        rows, cols) begins with rocks smaller than all classes, whose ratio is at least 1.
+        """
         # Class by class: a running maximum along the first axis is ten times slower.
         out = np.empty((len(ratio) + 1, *ratio.shape[1:]))
         out[-1] = ratio[-1]
