@@ -97,7 +97,13 @@ class FusedMapperSettings:
             )  # fmt: skip
 
     def calibration(self) -> FusedCalibration | None:
-        """Return the calibration in `calibration_path`; None without a file."""
+        """Read the calibration in `calibration_path`; None if the path is omitted.
+
+        Raises
+        ------
+        InputError
+            If the file is missing or is not a valid calibration.
+        """
         if self.calibration_path is None:
             return None
         try:
@@ -154,7 +160,8 @@ class FusedMapperSettings:
     ) -> None:
         """Raise InputError if `calibration_mapper` is not another elevation mapper.
 
-        `parts` are the settings of all mappers by name; `fused` are the fused mappers by name.
+        An empty name is valid. `parts` are the settings of all mappers by name; `fused` are the
+        types of the fusion data of the fused mappers by name.
         """
         if not self.calibration_mapper:
             return
@@ -291,7 +298,11 @@ class FusedMapper(HazardMapper):
         return self._map
 
     def _is_update_due(self, surfaces: tuple[TerrainSurface, ...]) -> bool:
-        """Return whether the map must be recomputed for the current source surfaces."""
+        """Return whether the map must be recomputed for the current source surfaces.
+
+        After the update interval, any surface that differs from that of the last update requires
+        this; before, only one whose grid has moved or whose observations were withdrawn.
+        """
         changed = [
             (n, o)
             for n, o in zip(surfaces, self._source_surfaces, strict=True)

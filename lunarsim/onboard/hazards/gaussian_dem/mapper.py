@@ -96,7 +96,13 @@ class GaussianDemMapperSettings:
         self.calibration()
 
     def calibration(self) -> ScenarioCalibration | None:
-        """Return the calibration in `calibration_path`; None without a file."""
+        """Read the calibration in `calibration_path`; None if the path is omitted.
+
+        Raises
+        ------
+        InputError
+            If the file is missing, invalid, or fitted to another regression.
+        """
         if self.calibration_path is None:
             return None
         try:
@@ -292,7 +298,10 @@ class GaussianDemMapper(HazardMapper):
         return self._samples.base is None and self._provisional.base is None
 
     def recentre(self, centre: Array) -> None:
-        """Move the map to another centre (3,), local frame, m, if it is too far from it."""
+        """Move the map to another centre (3,), local frame, m, if it is too far from it.
+
+        An empty map is always moved. Samples that leave the map are dropped.
+        """
         if not (self.is_empty or is_off_centre(self.grid, centre)):
             return
         self._samples, self._provisional = self._pools_about(centre)
