@@ -22,7 +22,12 @@ STACK = 64
 
 
 class Tree(NamedTuple):
-    """Arrays of a quadtree of points, in a form that compiled kernels accept."""
+    """Arrays of a quadtree of points, in a form that compiled kernels accept.
+
+    There are n points, N cells (nodes) and S sets of moment sums. `child` is the index of the first
+    of four consecutive children. The points of a leaf are a chain of runs: `head` is its first run,
+    `following` the next one, and `start` and `length` give the section of `xyz` of each run.
+    """
 
     half: float  # half the side of the root, m
     depths: int  # depth of the smallest cells

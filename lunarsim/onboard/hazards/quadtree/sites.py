@@ -306,7 +306,10 @@ class SiteSelector:
         )
 
     def _interest_of(self, nodes: Nodes) -> Array:
-        """Return the value to the mission of cells (n,)."""
+        """Return the value to the mission of cells (n,), in [0, 1]; 1 without a map of it.
+
+        `nodes` (n,) are the indices of the cells.
+        """
         if self._interest is None:
             return np.ones(len(nodes))
         return self._interest.at(self.map.centres(nodes))

@@ -94,10 +94,11 @@ def _pixels_of_test_points(pixels, node, rise, up, radius, intrinsics, image_hei
     """Project the test points of a rock's shadow; return whether all are in view.
 
     The test points lie in the core of the shadow, the part that is dark for every rock shape.
-    `pixels` (points,) receives their pixel indices, row by row. `node` is the node interpolated at
-    the rock, `rise` an assumed error of its terrain height, m, `up` (3,) the vertical in sensor
-    axes, and `radius` the radius of the rock, m. `intrinsics` is (fx, fy, cx, cy). The loop has no
-    branch before the end, so that it can be vectorised.
+    `pixels` (points,) receives their flat pixel indices, row * image width + column; 0 for a point
+    out of view. `node` (columns,) is the node interpolated at the rock, `rise` an assumed error of
+    its terrain height, m, `up` (3,) the vertical in sensor axes, and `radius` the radius of the
+    rock, m. `intrinsics` is (fx, fy, cx, cy). The loop does not end early, so that it can be
+    vectorised.
     """
     fx, fy, cx, cy = intrinsics
     points = len(pixels)
@@ -159,7 +160,8 @@ def _may_be_dark_at_other_heights(
 
     A height error displaces the shadow laterally in the image. Heights within the possible error at
     `node` are tested in steps that displace it by about the radius of the rock. The shadow of a
-    tracked rock does not count as dark. The other arguments are those of `_dark_points` and
+    tracked rock does not count as dark. The result is also True if the shadow may be out of view or
+    be displaced by more than MAX_STEPS radii. The other arguments are those of `_dark_points` and
     `is_lit_between`.
     """
     reach, e, n, h = node[FAR], node[E], node[N], node[H]
@@ -228,7 +230,8 @@ def _squares_in_view(
 ):
     """Return in which squares of nodes a shadow may be in view (rows, cols, sizes).
 
-    The arguments are those of `record_observation`.
+    A square has four neighbouring nodes of the coarse grid as corners. The arguments are those of
+    `record_observation`.
     """
     rows, cols = coarse_nodes.shape[0] - 1, coarse_nodes.shape[1] - 1
     out = np.empty((rows, cols, len(radii)), np.bool_)
@@ -246,8 +249,8 @@ def _squares_in_view(
 def _radius_of_pixels(labels, radius_of_patch):
     """Return the radius of the largest rock that may shade each pixel, row by row, m.
 
-    `labels` (height, width) is the dark patch of each pixel, and `radius_of_patch` the radius for
-    each patch.
+    The result has shape (height * width,). `labels` (height, width) is the dark patch of each
+    pixel, and `radius_of_patch` (labels,) the radius for each patch, m.
     """
     image_height, image_width = labels.shape
     out = np.empty(image_height * image_width, radius_of_patch.dtype)
@@ -264,8 +267,12 @@ def _record_row(
 ):  # fmt: skip
     """Record whether shadows of rocks in row `i` of the grid would fall on lit pixels.
 
-    `in_view` and `lit_tile_sizes` are the results of `_squares_in_view` and `lit_tiles`. The other
-    arguments are those of `record_observation`, which calls this.
+    `lit`, `dark` and `explained` are updated in this row. `nodes` are the nodes of the coarse grid
+    in sensor axes, `up` (3,) is the vertical in sensor axes, `intrinsics` (fx, fy, cx, cy) and
+    `shape` (height, width of the image). `radius_of_pixel`, `radius_of_block`, `in_view` and
+    `lit_tile_sizes` are the results of `_radius_of_pixels`, `max_radius_of_blocks`,
+    `_squares_in_view` and `lit_tiles`. The other arguments are those of `record_observation`, which
+    calls this.
     """
     sizes, _, cols = lit.shape
     image_height, image_width = np.int32(shape[0]), np.int32(shape[1])
@@ -323,8 +330,8 @@ def record_observation(
     """Record at which positions the shadow of a rock would fall on lit terrain.
 
     If it does, there is no undetected rock of that size. The shadow must fall on lit terrain at all
-    possible terrain heights. Terrain that is dark only at another height is recorded neither as lit
-    nor as dark.
+    possible terrain heights. If it falls on dark terrain only at a height other than the estimate,
+    it is recorded neither as lit nor as dark. Nothing is recorded for shadows out of view.
 
     Parameters
     ----------

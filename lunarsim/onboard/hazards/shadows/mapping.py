@@ -122,6 +122,8 @@ class ShadowMapping:
     def check_terrain_mapper(self, parts: Mapping[str, Any]) -> None:
         """Raise InputError if `terrain_mapper` is not a mapper that provides elevations.
 
+        An empty `terrain_mapper` is valid.
+
         Parameters
         ----------
         parts
@@ -130,7 +132,7 @@ class ShadowMapping:
         Raises
         ------
         InputError
-            If it does not.
+            If no mapper has this name or it does not provide elevations.
         """
         if not self.terrain_mapper:
             return
@@ -161,7 +163,8 @@ class ShadowMapping:
         Raises
         ------
         InputError
-            If the Sun is too low or too high for shadows, or the map is too small or too coarse.
+            If the navigation filter does not estimate rocks, the Sun is too low or too high for
+            shadows, or the map is too small or too coarse.
         """
         if not isinstance(navigation, Navigator) or navigation.rocks is None:
             raise InputError(

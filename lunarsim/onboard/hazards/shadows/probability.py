@@ -39,7 +39,9 @@ def cover_probability(
     radius_sigma: ArrayLike,
     form: Form = "rice",
 ) -> Array:
-    """Return the probability that rocks cover points at given distances.
+    """Return the probability that points lie within the outlines of rocks.
+
+    For each of n rocks, m points are given by their distances.
 
     Parameters
     ----------

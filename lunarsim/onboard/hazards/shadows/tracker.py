@@ -334,9 +334,11 @@ class RockTracker:
     ) -> BoolArray:
         """Return which pairs (p,) have the image offset that most pairs have in common.
 
-        `detection` and `rock` (p,) are the indices of the pairs; `projection` is that of all rocks
-        into the image. A pose error moves all rocks of an image together, so a wrong pair differs
-        from the others even if its gate is wide.
+        The offset is that of the detection from the predicted pixel of the rock, compared with the
+        median over all pairs. `detection` and `rock` (p,) are the indices of the pairs;
+        `projection` is that of all rocks into the image. A pose error moves all rocks of an image
+        together, so a wrong pair differs from the others even if its gate is wide. With fewer than
+        four pairs, all are accepted.
         """
         if len(detection) < 4:
             return np.ones(len(detection), bool)
@@ -431,8 +433,8 @@ class RockTracker:
     ) -> BoolArray:  # fmt: skip
         """Start tracks from accurate detections without a rock; return which started (d,).
 
-        `is_new` (d,) marks the detections without a rock, and `points` (d, 3) are their positions
-        on the terrain, m.
+        `is_new` (d,) marks the detections without a rock, `points` (d, 3) are the positions of all
+        detections on the terrain, m, and `radius_variance` (d,), m^2, is that of their radii.
         """
         s = self.settings
         # The position error must be a fraction of the distance between rocks.
@@ -490,9 +492,9 @@ class RockTracker:
         """Replace the position of rocks seen once by that of the second observation.
 
         `rock` and `detection` (m,) are the rocks and their detections; `radius_variance` (d,), m^2,
-        is that of all detections. The first position is biased towards the Sun, because only
-        patches that appear large enough start a track. Averaging both would appear as a motion of
-        the lander.
+        is that of all detections. Rocks with an inaccurate second observation keep their position.
+        The first position is biased towards the Sun, because only patches that appear large enough
+        start a track. Averaging the two positions would appear as a motion of the lander.
         """
         pixel_covariance = detections.independent_covariance[detection]
         points = self.filter.terrain_points(camera, detections.pixel[detection])
@@ -540,10 +542,12 @@ class RockTracker:
     def _split(
         self, detections: Detections, points: Array, camera: CameraModel, radius_variance: Array
     ) -> int:
-        """Replace a rock by the smaller ones that a sharper image resolves.
+        """Replace each rock that a sharper image resolves into smaller rocks by these.
 
-        `points` (d, 3) are the positions of the detections on the terrain, m. Returns the number of
-        rocks added, which are the last in the filter.
+        A rock is replaced if at least two detections lie within it, all smaller than 0.6 of its
+        radius. `points` (d, 3) are the positions of the detections on the terrain, m, and
+        `radius_variance` (d,), m^2, is that of their radii. Returns the number of rocks added,
+        which are the last in the filter.
         """
         f = self.filter
         if f.count == 0 or len(detections) < 2:
