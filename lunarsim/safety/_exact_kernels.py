@@ -215,9 +215,9 @@ def _max_in_block(z, site, columns, polygon, n, gx, gy):
 def _max_in_four_blocks(z, site, columns, polygon, n, gx, gy, lid_heights, threshold):
     """Return the maximum height of blocks `n` to n + 3 above planes at sixteen sites.
 
-    The other arguments are those of `_max_in_block`, which this function calls for each block. A
-    block is skipped if its upper bound in `lid_heights` does not exceed `threshold` at any site; if
-    all four are skipped, the result is -FAR.
+    The planes have height 0 at their sites and the gradients (gx, gy) per cell; the other arguments
+    are those of `_max_in_block`. A block is skipped if its upper bound in `lid_heights` does not
+    exceed `threshold` at any site; if all four are skipped, the result is -FAR.
     """
     a, b, c, d = lid_heights
     top = lane_fill(-FAR)
@@ -413,7 +413,8 @@ def _exact_tile(
     The maximum is over headings and support planes; `slope_out` and `rough_out` (sites of the tile)
     receive it. Sites that are not selected or have unknown terrain in their footprint are not
     written. With `classify_only`, a site is finished when a limit is exceeded. `window` and
-    `footprint_max` are from `_prepare_tile`; the other arguments are as in `exact`.
+    `footprint_max` are from `_prepare_tile`; `footprint` and `polygon_blocks` are `FootprintArrays`
+    and `PolygonBlocks`, `posting` is the grid spacing, m; limits are those of `exact`.
     """
     columns = window.shape[2]
     flat = window.reshape(5, window.shape[1] * columns)

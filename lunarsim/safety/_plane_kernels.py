@@ -89,11 +89,11 @@ def squared_tangent(gx, gy, posting):
 
 @kernel(inline=True)
 def _block_above_plane(tops, site, blocks, centres, n, gx, gy):
-    """Return the maximum height of block `n` above planes at the block's centre.
+    """Return the maximum height of block `n` minus the plane's height at its centre.
 
-    The planes have height 0 at sixteen sites and the gradients (gx, gy) per cell. `tops` are the
-    maximum terrain heights of blocks, `site` is the index of the first site, and `blocks` and
-    `centres` are the offsets of the blocks' corners and centres from a site.
+    There is one plane for each of sixteen sites, with height 0 at the site and the gradient (gx,
+    gy) per cell. `tops` are the maximum terrain heights of blocks, `site` is the index of the first
+    site, and `blocks` and `centres` are the offsets of the blocks' corners and centres from a site.
     """
     top = load(tops, site + item(blocks, n))
     return top - item(centres, 2 * n) * gx - item(centres, 2 * n + 1) * gy
@@ -120,7 +120,8 @@ def _highest(four):
 def _max_block_above_plane(tops, site, blocks, centres, start, stop, gx, gy):
     """Return the maximum height above planes of blocks `start` to `stop` - 1.
 
-    Heights are measured at the blocks' centres; the arguments are as in `_block_above_plane`.
+    The height of a block is its maximum terrain height minus the height of the plane at its centre.
+    The arguments are as in `_block_above_plane`.
     """
     top = lane_fill(-FAR)
     for n in range(start, stop, 4):
@@ -213,10 +214,13 @@ def _bound_sites(
 ):  # fmt: skip
     """Return maximum tan(slope)^2 and an upper bound of roughness at sixteen sites.
 
-    The maxima are over headings and support planes. `half_width` is half the distance between the
-    outermost cells of a block, cells; `first` (headings + 1,) is the index of the first block of
-    each heading. The other arguments are as in `support_plane`, `_block_above_plane` and
-    `_bound_tile`.
+    The maxima are over headings and support planes. `tops` are the maximum terrain heights of
+    blocks of cells, `feet` the terrain heights under a pad, m, and `site` is the index of the first
+    site. `legs`, `blocks` and `centres` are offsets of legs, block corners and block centres from a
+    site; `first` (headings + 1,) is the index of the first block of each heading. `inverse` and
+    `first_leg` are those of `FootprintArrays`. `half_width` is half the distance between the
+    outermost cells of a block, cells. With `vertical`, roughness is vertical, otherwise along the
+    plane's normal.
     """
     steepest = lane_fill(0.0)
     worst = lane_fill(0.0)

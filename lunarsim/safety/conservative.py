@@ -35,7 +35,7 @@ class StochasticSafety:
     p_safe
         Product of `p_slope` and `p_roughness` (rows, cols), the probability of safe terrain.
     observed
-        False where the footprint leaves the map or covers unknown terrain (rows, cols).
+        False where the footprint leaves the map or contains unknown terrain (rows, cols).
     """
 
     grid: Grid

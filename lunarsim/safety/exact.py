@@ -33,9 +33,10 @@ class SafetyMap:
     roughness
         Maximum roughness over headings and support planes (rows, cols), m; NaN where not observed.
     safe
-        Whether slope and roughness are below the lander's limits (rows, cols).
+        Whether slope and roughness are below the lander's limits (rows, cols); False where not
+        observed.
     observed
-        False where the footprint leaves the map or covers unknown terrain (rows, cols).
+        False where the footprint leaves the map or contains unknown terrain (rows, cols).
     """
 
     grid: Grid

@@ -43,8 +43,8 @@ def plane_stochastic_safety(
     Parameters
     ----------
     mean, variance, grid, lander
-        Mean (m) and variance (m^2) of the elevation (rows, cols), NaN where unknown; grid of both;
-        lander with its limits.
+        Mean (m) and variance (m^2) of the elevation (rows, cols), NaN where unknown; grid of the
+        elevation; lander with its limits.
     block_side
         Side of the blocks, m, rounded to complete cells.
 

@@ -79,7 +79,7 @@ def fuse_evidence(
     Raises
     ------
     InputError
-        If both are None.
+        If `elevations` and `rocks` are both None.
     """
     if elevations is None:
         if rocks is None:

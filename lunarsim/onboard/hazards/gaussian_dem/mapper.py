@@ -61,7 +61,8 @@ class GaussianDemMapperSettings:
     Raises
     ------
     InputError
-        If the calibration file is missing or invalid, or if `safety` does not use one.
+        If the calibration file is missing or invalid, or if it is given and `safety` is not
+        ``"calibrated"``.
     """
 
     sensor: str = quantity("flash", help="name of the LiDAR whose scans are mapped")
@@ -217,7 +218,7 @@ class GaussianDemMapper(HazardMapper):
 
     @property
     def pool(self) -> SamplePool:
-        """All samples, including those that are rotated again when the tilt is known."""
+        """All samples, including those that later tilt corrections still rotate."""
         return self._samples.union(self._provisional)
 
     def correct_tilt(self, turn: Array, pivot: Array, tilt_sigma: float) -> None:

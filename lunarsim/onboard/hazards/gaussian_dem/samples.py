@@ -120,8 +120,8 @@ class SamplePool:
         """Estimate the height offset of new points from the stored samples in their cells.
 
         The result is the median difference (new minus stored) and its standard error, m; None if
-        too few cells contain both. The position of the points within a cell contributes differences
-        of either sign.
+        fewer than 30 new points are in cells with stored samples. The position of the points within
+        a cell contributes differences of either sign.
 
         Parameters
         ----------

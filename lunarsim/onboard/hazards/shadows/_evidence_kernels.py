@@ -67,7 +67,8 @@ def _nodes_in_sensor_axes(coarse_nodes, position, axes):
 def _interpolate_row(nodes, i, node_spacing):
     """Interpolate the nodes of a coarse grid to row `i` of the fine grid.
 
-    There are `node_spacing` fine rows between two nodes. The result has shape (node cols, columns).
+    `nodes` (node rows, node cols, columns) are `node_spacing` fine rows apart. The result has shape
+    (node cols, columns).
     """
     first = min(i // node_spacing, nodes.shape[0] - 2)
     fraction = i / node_spacing - first
@@ -129,9 +130,11 @@ def _dark_points(
     """Count the dark test points of the shadow that a rock would cast.
 
     Returns the number for the darkest of the `shape_count` possible shadows, and how many of these
-    points belong to shadows of tracked rocks; -1 if a point is out of view. A point is dark if the
-    largest rock that may shade its pixel, `radius_of_pixel` (m, negative for tracked rocks), is not
-    smaller than the rock. The other arguments are those of `_pixels_of_test_points`.
+    points belong to shadows of tracked rocks; (-1, 0) if a point is out of view. A point is dark if
+    the largest rock that may shade its pixel, `radius_of_pixel` (m, negative for tracked rocks), is
+    not smaller than the rock. `pixels` is a work array. `node` describes the viewing geometry at
+    the rock, `rise` is an assumed error of its terrain height, m, and `radius` its radius, m. The
+    other arguments describe the camera, as in `_pixels_of_test_points`.
     """
     if not _pixels_of_test_points(
         pixels, node, rise, up, radius, intrinsics, image_height, image_width
@@ -201,8 +204,9 @@ def _may_be_in_view(
 ):
     """Return whether the centre of a shadow may be in view within a square of nodes.
 
-    (`i`, `j`) is the south-west node of the square, and `radius` that of the rock, m. The other
-    arguments are those of `record_observation`.
+    (`i`, `j`) is the south-west node of the square in `coarse_nodes` (rows, cols, columns), and
+    `radius` that of the rock, m. The other arguments are position (3,), m, axes (3, 3), focal
+    lengths, principal point and image size of the camera.
     """
     behind = left = right = above = below = 0
     for a in range(i, i + 2):
@@ -230,8 +234,8 @@ def _squares_in_view(
 ):
     """Return in which squares of nodes a shadow may be in view (rows, cols, sizes).
 
-    A square has four neighbouring nodes of the coarse grid as corners. The arguments are those of
-    `record_observation`.
+    A square has four neighbouring nodes of `coarse_nodes` as corners. `radii` (sizes,), m, are
+    those of the rocks; the other arguments describe the camera, as in `record_observation`.
     """
     rows, cols = coarse_nodes.shape[0] - 1, coarse_nodes.shape[1] - 1
     out = np.empty((rows, cols, len(radii)), np.bool_)

@@ -191,6 +191,9 @@ def is_lit_between(
 ):  # fmt: skip
     """Return whether shadows between two terrain heights fall on lit pixels in view.
 
+    The shadows are those of a rock at any position in a tile. The result is False if one may be out
+    of view or if a pixel in the box around all of them may be dark.
+
     `low` and `high` (columns,) are the minimum and maximum of the tile's nodes and `shadow_extent`
     the result of `shadow_extents`. `min_rise` and `max_rise` limit the error of the terrain height,
     m, `up` (3,) is the vertical in sensor axes, and `radius` the radius of the rock, m.
@@ -229,8 +232,9 @@ def is_tile_lit(
     """Return whether all shadows of rocks in a tile fall on lit pixels in view.
 
     This must hold for all possible terrain heights. The result is False if the possible height
-    error displaces shadows by MAX_STEPS radii of the rock or more. The arguments are those of
-    `is_lit_between`.
+    error displaces shadows by MAX_STEPS radii of the rock or more. `low` and `high` (columns,) are
+    the minimum and maximum of the tile's nodes, `shadow_extent` is from `shadow_extents`, and
+    `radius` is that of the rock, m; the other arguments are those of `is_lit_between`.
     """
     max_rise = max(abs(low[FAR]), abs(high[FAR]))
     east, north = max(abs(low[E]), abs(high[E])), max(abs(low[N]), abs(high[N]))

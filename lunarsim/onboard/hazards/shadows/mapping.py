@@ -61,13 +61,14 @@ class ShadowMapping:
         Name of an elevation mapper: rocks stand on its terrain, and shadows fall on its plane;
         empty: horizontal terrain.
     cover_model
-        Model of the probability that a rock covers a point, as in `cover_probability`: ``"rice"``
-        or ``"gaussian"``.
+        Model of the probability that the outline of a rock contains a point, as in
+        `cover_probability`: ``"rice"`` or ``"gaussian"``.
 
     Raises
     ------
     InputError
-        If a camera is named twice, or `sensor` is not one of `sensors`.
+        If a camera is named twice, or if `sensors` is given and `sensor` is neither one of them nor
+        the default.
     """
 
     sensor: str = quantity("camera", help="Name of the camera whose images are mapped")

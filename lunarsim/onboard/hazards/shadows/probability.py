@@ -19,7 +19,9 @@ _RAYLEIGH_VARIANCE = 2.0 - 0.5 * np.pi
 
 
 def checked_form(form: str) -> Form:
-    """Check the name of a cover probability model ("rice" or "gaussian"); return it.
+    """Check the name of a model for `cover_probability` ("rice" or "gaussian").
+
+    The name is returned.
 
     Raises
     ------

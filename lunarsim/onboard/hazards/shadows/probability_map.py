@@ -87,8 +87,8 @@ class ProbabilityMap:
         Height of horizontal terrain that `add_image` assumes by default, m, which is also the
         elevation of the hazard map; an attribute that can be changed.
     form
-        Model of the probability that a rock covers a point, "rice" or "gaussian", as in
-        `cover_probability`.
+        Model of the probability that the outline of a rock contains a point, "rice" or "gaussian",
+        as in `cover_probability`.
     """
 
     def __init__(

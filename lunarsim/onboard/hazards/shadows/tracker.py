@@ -316,8 +316,8 @@ class RockTracker:
     def _passes_monitors(self, found: UpdateOutcome, expected: UpdateOutcome, time: float) -> bool:
         """Update the innovation monitors; return whether the rocks can be kept.
 
-        `found` is the outcome of the position update, and `expected` whether enough rocks were
-        found. `time` is that of the image, s.
+        `found` is the outcome of the position update, and `expected` that of the test whether
+        enough of the expected rocks were found. `time` is that of the image, s.
         """
         remedies = [
             self.filter.monitor_image("places", time, found),
