@@ -91,7 +91,7 @@ def fuse_evidence(
     rock_map = _rock_map(rocks, terrain.grid, 1.0)
     clear, p_none_missed = _rock_free_probabilities(elevations, rocks, priors)
     undetected_ratio = footprint_undetected_ratio(rocks, terrain.grid, priors)
-    site_evidence = _reduce_undetected(elevations, undetected_ratio)
+    site_evidence = _with_undetected_ratio(elevations, undetected_ratio)
     p, known = _elevation_probability(elevations, site_evidence)
     measured, flat = terrain.observed, np.zeros(terrain.grid.shape, np.float32)
     p_safe_without_tracks, p_no_undetected_rock = p, np.ones(terrain.grid.shape)
@@ -206,7 +206,7 @@ def footprint_undetected_ratio(
     return UndetectedRockRatio(rocks.diameter, ratio, priors.rocks.cover, priors.height_ratio)
 
 
-def _reduce_undetected(
+def _with_undetected_ratio(
     elevations: TerrainEvidence, undetected_ratio: UndetectedRockRatio
 ) -> MapEvidence | None:
     """Return the site data of the elevation map, given what the rock sensor observed.
