@@ -63,7 +63,7 @@ def flat_terrain_probability(
     ----------
     site_evidence
         Slope, roughness and expected undetected rocks of each site, measured by the elevation
-        mapper; the number of undetected rocks is already reduced by the rock sensor.
+        mapper; the number of undetected rocks already takes the rock sensor into account.
     prior
         Probability that slope and roughness of the terrain are within the limits, as expected by
         the mission before any measurement.

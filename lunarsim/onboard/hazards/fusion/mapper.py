@@ -32,7 +32,8 @@ _EVIDENCE_NAMES = {TerrainEvidence: "elevations", RockEvidence: "rocks"}
 class FusedMapperSettings:
     """Settings of a mapper that fuses an elevation mapper and a rock mapper.
 
-    The mapper has no sensor. Its map has the cells of the elevation map.
+    The mapper has no sensor. Its map has the cells of the elevation map, or of the rock map while
+    there are no elevations.
 
     Attributes
     ----------
@@ -282,7 +283,8 @@ class FusedMapper(HazardMapper):
     def hazard_map(self) -> HazardMap:
         """Update the fused map if an update is due, and return it.
 
-        An update is due immediately if a fused mapper has withdrawn its observations or has moved
+        An update is due if the map of a fused mapper has changed and the update interval has
+        passed. It is due immediately if a fused mapper has withdrawn its observations or has moved
         its grid.
         """
         sources = (*self._mappers.values(), *self._calibration_mapper.values())

@@ -69,7 +69,7 @@ def gaussian_dem(
     """Build a raster with mean and variance of the elevation from a point cloud.
 
     Implements section II of the Gaussian DEM paper. Cells with enough samples take the value of the
-    conventional DEM and the variance of the sensor. The others take the regression of Eqs. 5 and 6,
+    conventional DEM and the variance of a sample. Other cells take the regression of Eqs. 5 and 6,
     with the kernel of Eq. 4, from the vertices of the Delaunay triangle that contains them. The
     prior mean is the mean of these vertices, because a prior mean of zero would pull the terrain
     towards z = 0.

@@ -78,7 +78,8 @@ def node_at(tree, x, y, smallest, largest):
     """Return the smallest cell at a point, within a band of cell sizes; -1 for none.
 
     `x` and `y` are relative to the centre of the map, m. `smallest` and `largest` are the depths of
-    the smallest and largest cells in the band, so `smallest` is the greater number.
+    the smallest and largest cells in the band, so `smallest` is the greater number. The result is
+    -1 off the map, in an empty cell, and where all cells are larger than the band.
     """
     if not (-tree.half <= x < tree.half and -tree.half <= y < tree.half):
         return -1
@@ -95,7 +96,7 @@ def band(tree, smallest, largest, since):
 
     `smallest` and `largest` are the depths of the smallest and largest cells in the band. `since`
     is the number of a batch; only cells with points from later batches are returned, as indices
-    (n,).
+    (n,). They do not overlap: at each place it is the smallest cell of the band that exists.
     """
     found = np.empty(tree.child.size, np.int32)
     n = 0

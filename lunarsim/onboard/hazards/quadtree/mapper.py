@@ -297,6 +297,8 @@ class QuadtreeMapper(HazardMapper):
     def scoreboard(self, site: Array) -> Scoreboard:
         """Return the ranked sites of the last selection, scored by Eq. 9 of the paper.
 
+        The score of the current target is that of the site whose cell contains it, inf for none.
+
         Parameters
         ----------
         site

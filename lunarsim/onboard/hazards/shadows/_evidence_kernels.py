@@ -254,7 +254,7 @@ def _radius_of_pixels(labels, radius_of_patch):
     """Return the radius of the largest rock that may shade each pixel, row by row, m.
 
     The result has shape (height * width,). `labels` (height, width) is the dark patch of each
-    pixel, and `radius_of_patch` (labels,) the radius for each patch, m.
+    pixel, and `radius_of_patch` (labels + 1,) the radius for each patch, m.
     """
     image_height, image_width = labels.shape
     out = np.empty(image_height * image_width, radius_of_patch.dtype)

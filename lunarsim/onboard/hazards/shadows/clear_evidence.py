@@ -254,7 +254,12 @@ class ClearEvidence:
         return possible
 
     def _density(self, size_class: int) -> NDArray[np.float32]:
-        """Return the density of untracked rocks of a size class (rows, cols), 1/m^2."""
+        """Return the density of untracked rocks of a size class (rows, cols), 1/m^2.
+
+        It is the expected density times the miss rate of the sharpest lit observation. Where a rock
+        may exist in the dark, it is the expected density if a tracked rock explains the shadow;
+        otherwise it is higher, because all rocks of the class are assumed to be in such places.
+        """
         mine = self._class == size_class
         radius, number = self._radius[mine], self._number[mine]
         possible, explained = self._possible(size_class), self.explained[size_class]
@@ -356,7 +361,9 @@ class ClearEvidence:
     def observed(self) -> BoolArray:
         """Return where a rock of the smallest size would have been detected (rows, cols).
 
-        The result is False everywhere if more than 2 % of the rocks cast no shadow under this Sun.
+        There the place of the shadow was seen lit so sharply that less than 25 % of such rocks
+        would be missed. The result is False everywhere if more than 2 % of the rocks cast no shadow
+        under this Sun.
         """
         if self.model.shadowless_fraction > _MAX_SHADOWLESS_FRACTION:
             return np.zeros(self.grid.shape, np.bool_)
@@ -384,10 +391,10 @@ def _shadow_test_points(
     There are five points for round rocks and five for elongated rocks, whose discs are smaller. The
     list holds east and north of each point in turn. Each is an array over the viewing directions
     (`azimuth` and `depression`, rad), relative to the position of a rock with a longer half axis of
-    1. `sun` (3,) is the direction towards the Sun.
-    Terrain that rises away from the Sun shortens the shadow. The points are therefore computed for
-    terrain with the slopes of `model`; they are also dark on flatter terrain. `low_rocks` is the
-    shadow model of low rocks, whose shadow lies within that of a higher rock.
+    1. `sun` (3,) is the direction towards the Sun. Terrain that rises away from the Sun shortens
+    the shadow. The points are therefore computed for terrain with the slopes of `model`; they are
+    also dark on flatter terrain. `low_rocks` is the shadow model of low rocks, whose shadow lies
+    within that of a higher rock.
     """
     unit = low_rocks.patch(azimuth, depression)
     s = sun[:2] / np.hypot(sun[0], sun[1])

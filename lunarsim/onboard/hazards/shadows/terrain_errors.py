@@ -180,8 +180,8 @@ def height_variance_growth(rocks: RockFilter) -> float:
     """Estimate the growth of the terrain height variance per metre of distance, m^2/m.
 
     The estimate is the mean squared height difference of neighbouring rocks, plus the variance of
-    its error, per distance. It is averaged with the prior, which is returned for fewer than two
-    rocks.
+    its error, per metre of their distance. It is averaged with the prior of the filter `rocks`,
+    which is returned for fewer than two rocks.
     """
     prior = rocks.prior_variance_growth
     if rocks.count < 2:

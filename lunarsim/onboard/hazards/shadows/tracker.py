@@ -167,7 +167,8 @@ class RockTracker:
         Raises
         ------
         InputError
-            If the image is older than the last one.
+            If the image is older than the last one, or if `sun` is not a unit vector or is normal
+            to the plane.
         """
         s = self.settings
         self._propagate(camera, plane.level_direction(unit_vector(sun)), time)
