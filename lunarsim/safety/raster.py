@@ -37,7 +37,7 @@ class ElevationRaster:
     z
         Elevation (rows, cols), float32 or float64, C-contiguous, m.
     middle
-        Middle of the map's heights, m: heights far from it are unknown.
+        Middle of the map's heights, m: heights more than 30 km from it count as unknown.
     """
 
     z: NDArray[Any]

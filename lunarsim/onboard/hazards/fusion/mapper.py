@@ -335,9 +335,10 @@ class FusedMapper(HazardMapper):
         return self._calibrated(fused, second)
 
     def _calibrated(self, fused: HazardMap, second: HazardMap | None) -> HazardMap:
-        """Return the fused map after its calibration with a second elevation map.
+        """Return the fused map with calibrated p_safe.
 
-        `second` is the other elevation map; None if there is none.
+        `second` is the second elevation map, whose p_safe is an input of the calibration; None if
+        there is none.
         """
         assert self.calibration is not None
         p_second, is_second_observed = np.zeros_like(fused.p_safe), np.zeros_like(fused.observed)

@@ -141,7 +141,7 @@ class SamplePool:
         return median, _MEDIAN_TO_MEAN_ERROR * spread / float(np.sqrt(len(difference)))
 
     def shifted_up(self, height: float) -> SamplePool:
-        """Return the same samples shifted up by a height, m."""
+        """Return the same samples shifted up by a height, m; arrays are not copied."""
         out = SamplePool(self.grid)
         out.base = None if self.base is None else self.base + height
         out.centroid, out.splat, out.spacing = self.centroid, self.splat, self.spacing

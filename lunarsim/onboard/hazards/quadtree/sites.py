@@ -46,7 +46,7 @@ class Site:
     slope
         Slope of the terrain plane, rad.
     roughness
-        Roughness by Eq. 8 of the quadtree paper, m.
+        Roughness by the measure that `SiteSettings.roughness` selects, m.
     """
 
     position: Array
@@ -78,7 +78,8 @@ class SiteSelection:
     footprint_ratio
         Maximum fraction of exceptions in the footprint of the lander (n,).
     roughness
-        Roughness (n,), m; NaN where not evaluated.
+        Roughness by the measure that `SiteSettings.roughness` selects (n,), m; NaN where not
+        evaluated.
     relief
         Maximum distance of a point in the zone and `margin` around it from the median plane of its
         cell, or of an exception from the terrain plane (n,), m; NaN if a cell of the zone has too

@@ -178,7 +178,7 @@ def is_dark_at_patch(
 class TentativeRocks:
     """Detections of the last image that are not tracked but may be rocks.
 
-    They are too inaccurate to start a track.
+    They do not start a track, for instance because they are too inaccurate or too small.
 
     Attributes
     ----------

@@ -39,8 +39,9 @@ _SQUARES_PER_SIDE, _MIN_SIGNIFICANCE, _MAX_SLOPE_SIGMA = 6, 2.5, 0.02
 def fit_terrain_plane(surface: TerrainSurface) -> GroundPlane | None:
     """Fit a least-squares plane to the elevations of a map.
 
-    The result is None if too little is observed, if the slope exceeds that of landing terrain, or
-    if the slope is too uncertain, as estimated by a jackknife over squares of the map.
+    The result is None without elevations, if less than a quarter of the map is observed, if the
+    tangent of the slope exceeds 0.3, or if the slope is too uncertain, as estimated by a jackknife
+    over squares of the map.
     """
     if surface.elevation is None:
         return None

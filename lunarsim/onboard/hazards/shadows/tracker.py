@@ -128,6 +128,11 @@ class RockTracker:
             Centres (n, 2) and their standard deviation per axis (n,), m.
         radius, radius_sigma
             Radius and its standard deviation (n,), m.
+
+        Raises
+        ------
+        InputError
+            If a radius or a standard deviation is not positive and finite.
         """
         xy = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
         n = len(xy)
@@ -227,10 +232,11 @@ class RockTracker:
         return found
 
     def _is_confirmed(self, rock: IntArray, in_view: int) -> BoolArray:
-        """Return which of the given rocks (n,) are certain and large enough.
+        """Return which of the given rocks (n,) exist with p > 0.9 and are large enough.
 
-        `rock` (n,) are indices and `in_view` is the number of rocks in view. The dark patch of a
-        rock below the minimum radius may be the shadow of a hazard with a wrong radius.
+        `rock` (n,) are indices and `in_view` is the number of rocks in view, on which the minimum
+        radius depends. The dark patch of a rock below the minimum radius may be the shadow of a
+        hazard with a wrong radius.
         """
         s = self.settings
         least = s.min_radius * (1.0 if in_view < s.few else _DROP_RADIUS_RATIO)
@@ -293,7 +299,10 @@ class RockTracker:
         )  # fmt: skip
 
     def count_large_rocks(self, diameter: float, grid: Grid) -> int:
-        """Count the probable rocks on a grid with at least a given diameter (m)."""
+        """Count the tracked rocks on a grid with at least a given diameter (m).
+
+        Only rocks with an existence probability above 0.5 count.
+        """
         f = self.filter
         there = (self.existence > 0.5) & (2.0 * f.radius >= diameter)
         return int(np.count_nonzero(there & grid.contains(f.xy)))
