@@ -272,7 +272,11 @@ class ShadowMapper(HazardMapper):
     def _blind_pixels(
         self, detections: Detections, image: CameraImage, sun: Array, plane: GroundPlane
     ) -> BoolArray:
-        """Return the pixels in which rocks would not be visible (height, width)."""
+        """Return the pixels in which rocks would not be visible (height, width).
+
+        `sun` (3,) is the direction towards the Sun, ENU, and `plane` the plane on which shadows
+        fall.
+        """
         camera, rocks = image.camera, self.tracker.filter
         points = rocks.terrain_points(camera, cell_centres(camera.width, camera.height))
         sharpness, area = sharpness_and_area_of_cells(
@@ -300,10 +304,10 @@ class ShadowMapper(HazardMapper):
         return sigma
 
     def _forget_lost_rocks(self) -> None:
-        """Discard terrain recorded as clear if the tracker has dropped all rocks.
+        """Discard terrain recorded as clear of rocks if the tracker has dropped all rocks.
 
         Recorded terrain moves with the tracked rocks, so its position is unknown without them.
-        Clear terrain is free of hazards.
+        Nothing happens if they have not been dropped since the last call.
         """
         if self.tracker.renewals > self._renewals:
             self._renewals = self.tracker.renewals
@@ -392,7 +396,10 @@ class ShadowMapper(HazardMapper):
         self.tracker.filter.events.append(NavigationEvent(time, name, details))
 
     def _height_in_view(self, camera: CameraModel) -> float:
-        """Return the terrain height at the centre of the image, local frame, m."""
+        """Return the terrain height at the centre of the image, local frame, m.
+
+        If the centre does not show terrain, it is the terrain height below the lander.
+        """
         rocks = self.tracker.filter
         middle = np.array([[0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]])
         height = float(rocks.terrain_points(camera, middle)[0, 2])
@@ -416,7 +423,8 @@ class ShadowMapper(HazardMapper):
     def evidence(self) -> RockEvidence | None:
         """Return tracked and expected undetected rocks, for fusion; None without images.
 
-        If the map has implausibly few rocks, tracked rocks still count but clear terrain does not.
+        The result is also None while shadows contradict the Sun direction. If the map has
+        implausibly few rocks, tracked rocks still count but clear terrain does not.
         """
         hazard_map = self.hazard_map()
         if self.is_empty or self.tracker.filter.image_monitor.monitors["shadows"].lost:
@@ -467,7 +475,8 @@ class ShadowMapper(HazardMapper):
     def recentre(self, centre: Array) -> None:
         """Move the map to another centre (3,), local frame, m, if it is too far from it.
 
-        Rocks outside remain tracked, but no more of them are added.
+        An empty map is always moved. Rocks outside the moved map remain tracked, but no rocks are
+        added there.
         """
         if not (self.is_empty or is_off_centre(self.grid, centre)):
             return
@@ -523,7 +532,8 @@ def tracked_region(grid: Grid) -> MapRegion:
 def _check_sun(sun: ArrayLike, elevation: float) -> None:
     """Raise InputError if the Sun elevation differs from that of the shadow model.
 
-    `sun` (3,) is the direction towards the Sun, and `elevation` that of the model, rad.
+    `sun` (3,) is the direction towards the Sun, a unit vector, and `elevation` the Sun elevation of
+    the model, rad. A difference below 1 deg is accepted.
     """
     direction = unit_vector(sun)
     given = float(np.arcsin(direction[2]))

@@ -58,13 +58,14 @@ class ShadowMapping:
         Name of an elevation mapper: rocks stand on its terrain, and shadows fall on its plane;
         empty: horizontal terrain.
     cover_model
-        Model of the probability that a rock covers a point, as in `cover_probability`: ``"rice"``
-        or ``"gaussian"``.
+        Model of the probability that the outline of a rock contains a point, as in
+        `cover_probability`: ``"rice"`` or ``"gaussian"``.
 
     Raises
     ------
     InputError
-        If a camera is named twice, or `sensor` is not one of `sensors`.
+        If a camera is named twice, or if `sensors` is given and `sensor` is neither one of them nor
+        the default.
     """
 
     sensor: str = quantity("camera", help="Name of the camera whose images are mapped")
@@ -119,6 +120,8 @@ class ShadowMapping:
     def check_terrain_mapper(self, parts: Mapping[str, Any]) -> None:
         """Raise InputError if `terrain_mapper` is not a mapper that provides elevations.
 
+        An empty `terrain_mapper` is valid.
+
         Parameters
         ----------
         parts
@@ -127,7 +130,7 @@ class ShadowMapping:
         Raises
         ------
         InputError
-            If it does not.
+            If no mapper has this name or it does not provide elevations.
         """
         if not self.terrain_mapper:
             return
@@ -158,7 +161,8 @@ class ShadowMapping:
         Raises
         ------
         InputError
-            If the Sun is too low or too high for shadows, or the map is too small or too coarse.
+            If the navigation filter does not estimate rocks, the Sun is too low or too high for
+            shadows, or the map is too small or too coarse.
         """
         if not isinstance(navigation, Navigator) or navigation.rocks is None:
             raise InputError(
