@@ -57,7 +57,7 @@ class Estimate:
 
     @property
     def tilt_sigma(self) -> float:
-        """Larger standard deviation of the tilt about the two horizontal axes, rad."""
+        """Larger of the standard deviations of the tilt about east and north, rad."""
         return float(np.sqrt(max(np.diag(self.covariance)[6:8].max(), 0.0)))
 
 
@@ -145,7 +145,7 @@ class Navigation(ABC):
     def is_drifting(self) -> bool:
         """Whether neither a map nor tracked rocks bound the position error.
 
-        Velocity errors then accumulate until touchdown.
+        Velocity errors then accumulate until touchdown. True unless a filter overrides it.
         """
         return True
 

@@ -181,9 +181,9 @@ class ScanOdometry:
     def take(self, sensor: str, measurement: Any, time: float, *, used: bool) -> bool:
         """Update the filter by comparing a scan with the reference scan.
 
-        The scan is not compared if an earlier processor has `used` it. It becomes the new reference
-        if its overlap with the old one is too small. The return value states whether the comparison
-        was accepted.
+        The scan is not compared if an earlier processor has `used` it. It becomes the new
+        reference if its overlap with the old one is too small. The return value states whether the
+        comparison was accepted; other measurement types are ignored (False).
         """
         if not isinstance(measurement, LidarScan):
             return False
@@ -205,7 +205,11 @@ class ScanOdometry:
         self._share = 1.0
 
     def _compare(self, sensor: str, scan: LidarScan, time: float) -> bool:
-        """Update the filter from the overlap with the reference; return whether accepted."""
+        """Update the filter from the overlap with the reference; return whether accepted.
+
+        The result is False without a reference of the same sensor, with too little overlap, or
+        after a bad fit. `time` is in s.
+        """
         self._share = 0.0
         if self._reference is None or self._reference.sensor != sensor:
             return False
@@ -289,8 +293,8 @@ def _difference_jacobian(
 def remove_implausible_ranges(scan: LidarScan) -> LidarScan:
     """Return a scan without implausible ranges or ranges without standard deviation.
 
-    Removed ranges are NaN. All ranges are removed if the mount is not a rotation, or the rays are
-    not unit vectors.
+    Removed ranges are NaN. Plausible ranges are positive and below 20 km. All ranges are removed
+    if the mount is not a rotation, or the rays are not unit vectors.
 
     Raises
     ------

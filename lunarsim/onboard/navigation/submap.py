@@ -42,7 +42,8 @@ class Submap:
     def add(self, points: Array) -> bool:
         """Add points (n, 3), m, local frame; return whether any was added.
 
-        NaN marks missing points.
+        NaN marks missing points. No point is added if the map would have more than 3000 squares
+        along a side.
         """
         points = points[np.isfinite(points).all(axis=1)]
         if len(points) == 0:
@@ -62,7 +63,9 @@ class Submap:
     def _cover(self, south: int, north: int, west: int, east: int) -> bool:
         """Extend the arrays to cover given rows and columns; return whether possible.
 
-        `south` and `north` are row numbers, `west` and `east` column numbers.
+        `south` and `north` are row numbers, `west` and `east` column numbers. If the map would
+        have more than 3000 squares along a side, the arrays stay unchanged and the result is
+        False.
         """
         rows, cols = self._sum.shape
         if self._sum.size:
@@ -90,7 +93,10 @@ class Submap:
         return int(np.count_nonzero(self._count))
 
     def points(self) -> Array:
-        """Return the square centres at their mean heights (n, 3), m."""
+        """Return the square centres at their mean heights (n, 3), m.
+
+        Only squares that contain points are returned.
+        """
         row, col = np.nonzero(self._count)
         place = np.column_stack((col + self.first[1], row + self.first[0])) + 0.5
         xy = place * self._side + (self._west, self._south)
