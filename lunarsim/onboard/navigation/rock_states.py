@@ -236,9 +236,9 @@ class RockStates:
         """Update the radii of observed rocks by independent scalar Kalman filters.
 
         `index` (n,) are the rocks; `radius` and `radius_variance` (n,) are the measured radii, m,
-        and their variances, m^2; values that are not finite or positive variances are ignored.
-        `min_variance_ratio` is the minimum variance after the update relative to that of the
-        observation.
+        and their variances, m^2. A radius that is not finite, or whose variance is not positive
+        and finite, is ignored. `min_variance_ratio` is the minimum variance after the update
+        relative to that of the observation.
         """
         radius_variance = np.broadcast_to(radius_variance, np.shape(radius))
         good = np.isfinite(radius) & np.isfinite(radius_variance) & (radius_variance > 0.0)

@@ -71,9 +71,9 @@ def range_noise(scan: LidarScan) -> float:
 def is_noisy(scan: LidarScan) -> bool:
     """Return whether a scan's range noise is too large for registration.
 
-    This is the case if the noise far exceeds the scanner's specification (by a factor of 3 and by
-    0.25 m for rough terrain), or if the specified noise exceeds 0.15 m. The result is False for a
-    scan without ranges.
+    This is the case if the noise exceeds 3 times the scanner's specification plus 0.25 m (for
+    rough terrain), or if the specified noise exceeds 0.15 m. The result is False for a scan
+    without ranges.
     """
     specified = scan.sigma[np.isfinite(scan.range) & np.isfinite(scan.sigma)]
     if len(specified) == 0:

@@ -61,7 +61,8 @@ def _add_moments(out, label, along, across):
 def _line_of_sight(tx, ty, right, down, ahead):
     """Return the line of sight of a pixel: east, north and up for a depth of 1 m.
 
-    `tx` and `ty` are its tangents; `right`, `down` and `ahead` are the sensor axes (tuples).
+    `tx` and `ty` are its tangents to the right and down; `right`, `down` and `ahead` are the
+    sensor axes, as tuples of east, north and up.
     """
     return (
         right[0] * tx + down[0] * ty + ahead[0],
@@ -72,9 +73,9 @@ def _line_of_sight(tx, ty, right, down, ahead):
 
 @kernel()
 def _to_sun(east, north, sun):
-    """Return the components of a horizontal vector along the Sun and across it.
+    """Return the components of a horizontal vector along the Sun and to its left.
 
-    `sun` is the horizontal unit vector towards the Sun.
+    `east` and `north` are the vector, and `sun` (2) is the horizontal unit vector towards the Sun.
     """
     return east * sun[0] + north * sun[1], north * sun[0] - east * sun[1]
 
@@ -84,7 +85,8 @@ def _pixel_size_on_terrain(depth, ray, right, down, sun):
     """Return the size of a pixel on the terrain along the Sun and across it.
 
     The sizes are in m times the focal length in pixels. `depth` is the depth of the terrain point,
-    m, `ray` its line of sight, and `right` and `down` are sensor axes.
+    m, `ray` its line of sight, `right` and `down` are sensor axes, and `sun` is the horizontal
+    unit vector towards the Sun.
     """
     # Displacement of the terrain point along and across for one pixel right and down.
     along_u, across_u = _to_sun(
@@ -102,7 +104,11 @@ def _pixel_size_on_terrain(depth, ray, right, down, sun):
 
 @kernel()
 def _sums_to_means(out):
-    """Convert the sums over each patch in `out` to the results of `measure_patches`."""
+    """Convert the sums over each patch in `out` to the results of `measure_patches`.
+
+    `out` (patches + 1, 14) is changed in place: sums become means, second moments become lengths,
+    widths and the covariance.
+    """
     for k in range(1, out.shape[0]):
         pixels = max(out[k, PIXELS], 1.0)
         out[k, TX] /= pixels

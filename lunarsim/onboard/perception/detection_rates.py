@@ -87,6 +87,9 @@ class DetectionRates:
 
 
 def _clipped_line(line: tuple[float, float, float], q: Any) -> Array:
-    """Return the rate of a clipped line (value at q = 0, slope, minimum) at q (...)."""
+    """Return the rate of a line, limited to a minimum and to 1, at q (...).
+
+    `line` is the value at q = 0, the slope, and the minimum at large q.
+    """
     start, slope, floor = line
     return np.clip(start + slope * np.asarray(q, dtype=np.float64), floor, 1.0)

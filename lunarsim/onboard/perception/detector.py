@@ -189,7 +189,11 @@ class Detections:
         return np.asarray(place[self.labels])
 
     def with_invalid(self, invalid: BoolArray) -> Detections:
-        """Return a copy with an excluded patch of the `invalid` pixels (height, width)."""
+        """Return a copy in which the `invalid` pixels (height, width) hide the terrain.
+
+        They form one new patch in `labels` and `excluded_labels`. Without invalid pixels, the
+        detections themselves are returned.
+        """
         if not invalid.any():
             return self
         label = np.int32(len(self.largest))
@@ -473,8 +477,9 @@ def _rock_centres(
 def _area_fraction(estimate: RadiusEstimate, view: View, table: Array) -> Array:
     """Return measured over expected number of pixels of dark patches (n,).
 
-    `estimate` are the radii from length and width of the patches, and `table` the measured patches.
-    A small value indicates several merged shadows.
+    `estimate` are the radii from length and width of the patches, and `table` the measured
+    patches. The ratio is scaled so that a single shadow typically has 1; a small value indicates
+    several merged shadows.
     """
     line_of_sight = np.column_stack(
         (table[:, kernels.TX], table[:, kernels.TY], np.ones(len(table)))

@@ -313,8 +313,9 @@ class ImageQualityCheck:
     def _repeated_fraction(self, sampled: NDArray[Any], min_brightness: float) -> float:
         """Return the maximum fraction of lit pixels that repeat an earlier image.
 
-        The maximum is over horizontal bands of the image. `sampled` are the sampled pixels; those
-        of at least `min_brightness`, counts, are lit.
+        The maximum is over the last images and over bands of rows and of columns; bands in which
+        less than 20 % of the pixels are lit are skipped. `sampled` are the sampled pixels; those of
+        at least `min_brightness`, counts, are lit.
         """
         highest = 0.0
         bright = sampled >= min_brightness
@@ -409,8 +410,9 @@ class ImageQualityCheck:
     def _check_sun(self, turn: SunAngle) -> ImageRejection | None:
         """Compare a shadow angle with the Sun direction; return a fault, or None.
 
-        Updates whether the Sun direction is confirmed. `turn` is the angle between shadows and
-        their expected direction.
+        The result is None if this image or an earlier one has confirmed the Sun direction, and
+        this image gives no reason against it. Updates whether the direction is confirmed. `turn`
+        is the angle between shadows and their expected direction.
         """
         s = self.settings
         if self.contradicts(turn):
@@ -436,7 +438,10 @@ class ImageQualityCheck:
 
 
 def _shadow_brightness(seen: Detections) -> float:
-    """Return the brightness of the darkest rock shadows relative to lit terrain."""
+    """Return the brightness of the darkest rock shadows relative to lit terrain.
+
+    It is infinite without a rock shadow.
+    """
     shaded = seen.relative[seen.rock > 0]
     at = int(_SHADE_QUANTILE * shaded.size)
     return float(np.partition(shaded, at)[at]) if shaded.size else np.inf
@@ -446,7 +451,7 @@ def _lit_brightness(pixels: NDArray[Any]) -> float:
     """Return the brightness of lit terrain among some pixels (n,), counts.
 
     Lit pixels have at least half of the brightness of the 90th percentile, also if most of the
-    image is dark.
+    image is dark. The result is 0 if nearly all pixels are black.
     """
     shown = pixels[pixels > _MAX_BLACK_COUNTS]
     if len(shown) < _MIN_LIT_FRACTION * len(pixels):
@@ -455,7 +460,7 @@ def _lit_brightness(pixels: NDArray[Any]) -> float:
 
 
 def _looks_down(view: View) -> BoolArray:
-    """Return which sampled pixels (rows, cols) are below the horizon."""
+    """Return which of the sampled pixels of a view are below the horizon (rows, cols)."""
     u = (np.arange(0, view.width, _PIXEL_STRIDE) - view.cx) / view.fx
     v = (np.arange(0, view.height, _PIXEL_STRIDE) - view.cy) / view.fy
     up = view.axes[2]
@@ -509,6 +514,7 @@ def _noise(image: NDArray[Any]) -> float:
 
     Uses the Laplacian of Immerkaer (1996, Computer Vision and Image Understanding 64), which is 0
     on a slope. Its lower quartile is insensitive to edges, also if they fill half of the image.
+    The result is 0 for images below 24 pixels per side.
     """
     h, w = image.shape
     if min(h, w) < 3 * _BAND_COUNT:

@@ -216,10 +216,12 @@ def _slope_brightness(ratio: NDArray[np.float32], core: float, lit: float) -> ND
 def _shadow_masks(
     relative: NDArray[np.float32], ratio: NDArray[np.float32], core: float, lit: float
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return masks of shadow, and of pixels below half brightness (height, width).
+    """Return masks of shadow and of deep shadow, 0 or 1 and 0 or 255 (height, width).
 
-    `relative` and `ratio` (height, width) are the brightness relative to nearby slopes and to lit
-    terrain; `core` and `lit` are the brightness of shadow and of lit terrain.
+    Pixels of deep shadow are darker than half way from shadow to lit terrain; the first mask also
+    has brighter pixels of small shadows. `relative` and `ratio` (height, width) are the brightness
+    relative to nearby slopes and to lit terrain; `core` and `lit` are the brightness of shadow and
+    of lit terrain.
     """
     core, darkest = core / lit, core + _MIN_SLOPE_LEVEL * (lit - core)
 

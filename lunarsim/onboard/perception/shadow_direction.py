@@ -162,8 +162,9 @@ def _select_angle(by_faces: SunAngle, by_axes: SunAngle, faces: NDArray[np.compl
     """Return the angle from patch axes, unless many consistent faces contradict it.
 
     `by_faces` and `by_axes` are the two angles, `faces` (n,) the unit vectors of the single faces.
-    Axes can be wrong: from far and from the side, shadows of rocks behind each other merge, and on
-    slopes the shadows of the terrain itself are long.
+    If the faces contradict the axes, the angle from faces is returned. Axes can be wrong: from far
+    and from the side, shadows of rocks behind each other merge, and on slopes the shadows of the
+    terrain itself are long.
     """
     difference = abs(np.angle(np.exp(1j * (by_faces.angle - by_axes.angle))))
     agreement = abs(faces.mean())
@@ -186,8 +187,8 @@ def _face_angle(faces: NDArray[np.complex128]) -> SunAngle:
 def _sun_angle(faces: NDArray[np.complex128], angle: float, sigma: float) -> SunAngle:
     """Combine an angle with the significance of the side on which lit faces lie.
 
-    `faces` (n,) are unit vectors of single faces; `angle` and its standard deviation `sigma` are in
-    rad.
+    `faces` (n,) are unit vectors of single faces; `angle` and its standard deviation `sigma` are
+    in rad. An infinite deviation gives an unknown angle.
     """
     if not np.isfinite(sigma):
         return SunAngle(float("nan"), float("inf"), 0.0, len(faces))
@@ -276,7 +277,7 @@ def mean_direction(directions: Array) -> tuple[float, float, int]:
 
     `directions` (n, 2) are vectors; NaN is ignored. Angles are in radians from the first axis
     towards the second. The interval is that of a mean with the observed spread (median absolute
-    deviation).
+    deviation). With fewer than three directions, angle and interval are NaN.
     """
     good = directions[np.isfinite(directions).all(1)]
     if len(good) < 3:
