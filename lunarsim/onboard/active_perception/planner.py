@@ -151,7 +151,8 @@ class InformationPlanner:
     ) -> PathPlan | None:
         """Return the best path within the limits; None if no path is admissible.
 
-        If no path stays below `max_propellant`, the minimum-propellant path is returned.
+        If no candidate stays below `max_propellant`, this limit is raised to the propellant of the
+        cheapest candidate.
 
         Parameters
         ----------
@@ -277,10 +278,11 @@ class InformationPlanner:
         return out
 
     def _single_altitudes(self, lowest_altitude: float) -> Array:
-        """Return the altitudes of future single observations (sensors, k), m; NaN: none.
+        """Return the altitudes of future single observations (sensors, k), m.
 
-        `lowest_altitude` is the lowest altitude flown so far, m. A sensor without future
-        observations gets an altitude of -inf, which is never reached.
+        `lowest_altitude` is the lowest altitude flown so far, m. Unused elements of a row are NaN.
+        A sensor whose single observations are all in the past gets an altitude of -inf, which is
+        never reached; a sensor that measures at any altitude gets NaN only.
         """
         max_count = max(max((len(o.at) for o in self._schedules), default=0), 1)
         out = np.full((len(self._schedules), max_count), np.nan)
@@ -309,7 +311,8 @@ def _to_enu(problem: PlanningProblem, plans: Array) -> Array:
 def _sensor_params(sensor: SensorCoverageModel, schedules: MeasurementAltitudes) -> list[float]:
     """Return the row of `sensor_params` for the kernel `score_paths` (9,).
 
-    It consists of pixel size, field of view, gimbal limit, ranges, altitudes and Sun direction.
+    It consists of pixel angle, maximum sharpness, cosines of half the field of view and of the
+    gimbal limit, maximum range, highest and lowest measurement altitude, and Sun direction (2).
     """
     field = 1.0 / np.sqrt(1.0 + sensor.half_field**2)
     limit = float(np.cos(min(sensor.gimbal_limit, np.pi)))

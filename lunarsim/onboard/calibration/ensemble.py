@@ -62,6 +62,9 @@ class LogOddsBounds:
     ) -> SafetyEstimate:
         """Return the safety probability of the sites, and whether the fits agree.
 
+        The probability follows from the minimum log odds. The fits agree on a site if its
+        probability is at least 0.95, or if the maximum over the fits is at most `max_unsafe_p`.
+
         Parameters
         ----------
         upper_bound

@@ -143,7 +143,10 @@ class SiteEvidence(CalibrationEvidence):
 
     @property
     def terrain_slope(self) -> Array:
-        """Same as `fitted_slope`."""
+        """Slope of the zone's least-squares plane over the slope limit (n,), tangents.
+
+        Same as `fitted_slope`.
+        """
         return self.fitted_slope
 
     @property
@@ -153,7 +156,7 @@ class SiteEvidence(CalibrationEvidence):
 
     @property
     def sample_density(self) -> Array:
-        """Same as `min_density`."""
+        """Minimum density of points in the footprint (n,), 1/m^2; same as `min_density`."""
         return self.min_density
 
     @property
@@ -169,16 +172,27 @@ class SiteEvidence(CalibrationEvidence):
 
     @property
     def may_be_claimed_unsafe(self) -> BoolArray:
-        """Same as `may_be_unsafe`."""
+        """Mask of the sites that may count as almost certainly unsafe (n,).
+
+        Same as `may_be_unsafe`: the mean terrain exceeds a limit even with its holes filled.
+        """
         return self.may_be_unsafe
 
     def log_sampling(self, where: BoolArray) -> Array:
-        """Return the logarithm of the relative point density of sites in a mask (m,)."""
+        """Return the logarithm of the relative point density of m sites (m,).
+
+        It is the number of points per squared radius of the legs. `where` is the mask of the
+        sites.
+        """
         density = np.maximum(self.density[where], 0.1)
         return np.asarray(np.log(density * self.lander.leg_radius**2))
 
     def term_values(self, where: BoolArray) -> Sequence[Array]:
-        """Return slopes, distances and shares that indicate danger, for a mask (m,)."""
+        """Return the values of the map's 14 terms for the m sites in `where`, each (m,).
+
+        They are slopes, distances and fractions that indicate danger, in the order of the knots of
+        `QUADTREE`.
+        """
         point, spread = self.denoised_relief()
         values = (
             self.slope,
@@ -199,7 +213,11 @@ class SiteEvidence(CalibrationEvidence):
         return [v[where] for v in values]
 
     def count_rocks(self, curve: ExceedanceCurve, height: Array, area: float) -> Array:
-        """Return an upper estimate of undetected rocks above a height (m) (n,)."""
+        """Return an upper estimate of undetected rocks above a height at each site (n,).
+
+        It is `ExceedanceCurve.missed_rocks` of `curve` at `height` (m) and the minimum point
+        density in the footprint, times `area`, m^2.
+        """
         return np.asarray(area * curve.missed_rocks(height, self.min_density))
 
     def denoised_relief(self) -> tuple[Array, Array]:
@@ -256,6 +274,10 @@ class SiteEvidence(CalibrationEvidence):
         return np.asarray(MAX_PROBABILITY * np.nan_to_num(np.where(matters, clear, 1.0), nan=0.0))
 
     def far_bound(self) -> Array:
-        """Return the probability of no undetected rock (n,)."""
+        """Return the probability that no undetected rock violates a limit (n,).
+
+        Rocks above the roughness margin and rocks that tilt the lander too far count; 0 where a
+        site was not evaluated. It bounds the safety probability far from the domain of the fits.
+        """
         rocks = -self.expected_roughness_violations - self.expected_tilt_violations
         return np.nan_to_num(np.exp(rocks), nan=0.0)
