@@ -417,7 +417,10 @@ class OnboardComputer:
         return True
 
     def _replan(self, time_scale: float | None = None) -> None:
-        """Choose a new time-to-go to the current site; record a refused time scale."""
+        """Choose a new time-to-go to the current site; record a refused time scale.
+
+        `time_scale` is a factor on the minimum-propellant time-to-go; None: 1.
+        """
         why = self._phases.replan(self.status, time_scale)
         if why:
             self._record_refusal(self.site, why, time_scale)

@@ -94,7 +94,10 @@ class PhaseSequence:
         self._record(status.time, "abort", {"altitude": status.altitude, "reason": reason})
 
     def advance(self, status: DescentStatus) -> None:
-        """Update the time-to-go, and make the transitions that are due in this cycle."""
+        """Update the time-to-go, and make the transitions that are due in this cycle.
+
+        They are those of braking and approach; vertical descent and abort do not change here.
+        """
         if self.phase == Phase.BRAKING:
             self._advance_braking(status)
         if self.phase == Phase.APPROACH:

@@ -139,7 +139,8 @@ class SiteEvaluator:
     def is_visible(self, site: Array, estimate: Estimate) -> bool:
         """Return whether a site (3,), m, is visible through the crew window.
 
-        The site is in the local frame. Without a window, the result is always True.
+        `estimate` is the pose of the lander, and the site is in the local frame. Without a window,
+        the result is always True.
         """
         window = self.briefing.software.designation_window
         return window is None or bool(window.sees(estimate, site))

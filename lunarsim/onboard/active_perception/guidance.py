@@ -236,8 +236,8 @@ class InformationSeekingGuidance:
     ) -> tuple[float, float]:
         """Return propellant (kg) and time-to-go (s) of the cheapest admissible path.
 
-        The path ends at `end` and takes at least `min_time`, s. Without an admissible path the
-        results are inf and NaN.
+        The path starts at `estimate`, ends at `end`, keeps `limits`, and takes at least
+        `min_time`, s. Without an admissible path the results are inf and NaN.
         """
         end_batch = replace(end, position=end.position[None, :])
         cost = divert_cost(
@@ -259,7 +259,10 @@ class InformationSeekingGuidance:
     # --- Plans ----------------------------------------------------------------------------
 
     def _predict_state(self, estimate: Estimate) -> Estimate:
-        """Return the state predicted for the time when a command takes effect."""
+        """Return the state predicted for the time when a command takes effect.
+
+        `estimate` is the current state; only position and velocity are changed.
+        """
         position, velocity = self._lag_model.predict(estimate)
         return replace(estimate, position=position, velocity=velocity)
 
@@ -311,9 +314,10 @@ class InformationSeekingGuidance:
         return max(mass - self._budget, cheapest if np.isfinite(cheapest) else 0.0)
 
     def _fall_back(self, time: float, reason: str) -> None:
-        """Report that there is no new plan, and the reason, unless just reported.
+        """Record at `time`, s, that no new plan was found, and the `reason`.
 
-        The last plan, or the path of the onboard computer, is then flown further.
+        The last plan, or the path of the onboard computer, is flown further. Only the first of
+        consecutive failures is recorded.
         """
         if not self._has_fallen_back:
             self.events.append((time, "guidance-fallback", {"reason": reason}))

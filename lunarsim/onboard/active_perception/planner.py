@@ -331,7 +331,8 @@ def _sensor_params(sensor: SensorCoverageModel, schedules: MeasurementAltitudes)
 def vehicle_params(estimate: Estimate, lander: Lander, gravity: float, limits: PathLimits) -> Array:
     """Return the `params` of the kernel `evaluate_path` (7,).
 
-    They are gravity, mass, exhaust velocity, and limits of thrust, tilt and glideslope.
+    They are gravity, m/s^2, mass, kg, exhaust velocity, m/s, minimum and maximum thrust reduced by
+    the throttle margin, N, and the tangents of the limits of tilt and glideslope.
     """
     margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     return np.array([

@@ -192,7 +192,10 @@ class CalibrationEvidence(ABC):
 
     @abstractmethod
     def term_values(self, where: BoolArray) -> Sequence[Array]:
-        """Return the values of the terms with `MapRegression.knots` for n sites (n,)."""
+        """Return the values of the map's own terms for n sites, one array (n,) per term.
+
+        The terms are in the order of `MapRegression.knots`; `where` is the mask of the sites.
+        """
 
     @abstractmethod
     def count_rocks(self, curve: ExceedanceCurve, height: Array, area: float) -> Array:

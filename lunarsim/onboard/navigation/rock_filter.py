@@ -322,7 +322,8 @@ class RockFilter(RockStates):
     ) -> UpdateOutcome:
         """Update lander and rock positions with valid pixels; return the outcome.
 
-        The parameters are those of `update_rocks`.
+        `index` (m,), `pixel` (m, 2) and `pixel_covariance` (m, 2, 2) are the valid observations;
+        the other parameters are those of `update_rocks`.
         """
         m = len(index)
         a, b = predicted.jacobian_by_pose[index], predicted.jacobian_by_rock[index]

@@ -144,9 +144,10 @@ class RockStates:
         return np.asarray(own + p[:ROCK_DIM, :ROCK_DIM] - cross - np.swapaxes(cross, 1, 2))
 
     def height_difference_variance(self, neighbours: IntArray) -> Array:
-        """Return the variance of height differences between rocks and others (n, k), m^2.
+        """Return the variance of the height difference between rocks (n, k), m^2.
 
-        `neighbours` (n, k) are the indices of the other rocks of each rock.
+        The differences are those of each of the n rocks to k others, whose indices are
+        `neighbours` (n, k).
         """
         p, height = self.state.covariance_for_rows(), self.state_indices()[:, 2]
         own = p[height, height]

@@ -194,7 +194,11 @@ class ScanOdometry:
         return taken
 
     def _update_reference(self, sensor: str, scan: LidarScan) -> None:
-        """Make a scan the reference if its overlap with the last reference is too small."""
+        """Make a scan the reference if its overlap with the last reference is too small.
+
+        This also holds without a reference. The errors of the pose are copied to the block of the
+        reference pose.
+        """
         if self._reference is not None and self._share >= _MIN_OVERLAP:
             return
         posting = float(np.clip(scan_width(scan) / 24.0, *_POSTINGS_M))
@@ -327,7 +331,11 @@ def scan_width(scan: LidarScan) -> float:
 
 
 def _common_squares(a: ScanSurface, b: ScanSurface) -> tuple[IntArray, IntArray]:
-    """Return the indices in `a` and in `b` of the grid squares that both contain."""
+    """Find the grid squares that two scan surfaces have in common.
+
+    The results are the indices of these squares in `a` (m,) and in `b` (m,), in the same order;
+    empty if there are none.
+    """
     if len(a) == 0 or len(b) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     wide = int(max(a.col.max(), b.col.max()) - min(a.col.min(), b.col.min())) + 1

@@ -150,9 +150,10 @@ class ScanAccumulator:
     def take(self, corrected: CorrectedScan, time: float) -> CorrectedScan | None:
         """Add a scan; return a scan that covers enough map grid points, else None.
 
-        The result is the given scan if it is large enough, or else all accumulated points. The
-        accumulated points are fixed in the local frame, and are returned as a scan from the current
-        pose. `time` is in s.
+        If the given scan is large enough, it is returned and not added. Otherwise it is added, and
+        all accumulated points are returned once they are enough; the accumulation then starts
+        again, as it does after the maximum time. The accumulated points are fixed in the local
+        frame, and are returned as a scan from the current pose. `time` is in s.
         """
         points = corrected.points()
         if count_covered_squares(points, self._posting, self._min_posts) == self._min_posts:

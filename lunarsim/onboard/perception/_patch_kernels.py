@@ -21,7 +21,10 @@ COLUMNS = 14
 
 @kernel(inline=True)
 def _borders_on(label, up, down, left, right):
-    """Return whether a neighbour of a pixel has another label than the pixel."""
+    """Return whether a neighbour of a pixel has another label than the pixel.
+
+    `label` is that of the pixel, `up` to `right` are those of its four neighbours.
+    """
     return up != label or down != label or left != label or right != label
 
 

@@ -16,14 +16,15 @@ _PIXEL_SIGMA = 12.0**-0.5
 
 @dataclass(frozen=True)
 class DetectionRates:
-    """Detection rates that are linear in q and limited at both ends.
+    """Rates of missed and false detections, linear in q and limited at both ends.
 
-    q is the square root of the number of dark pixels. The defaults are printed by
-    `python scenarios/shadows/detection_rates.py`: rocks of all shapes on horizontal terrain, 5 %
-    cover, Sun elevation 20 deg, blur 0.6 pixels. A test repeats the study.
+    q is the square root of the number of dark pixels. A rate is clipped between its minimum and 1.
+    The defaults are printed by `python scenarios/shadows/detection_rates.py`: rocks of all shapes
+    on horizontal terrain, 5 % cover, Sun elevation 20 deg, blur 0.6 pixels. A test repeats the
+    study.
 
-    The paper defines q along the shadow (III.C). The square root of the area equals it for a square
-    patch and also accounts for the part of a shadow that its rock hides.
+    The paper defines q along the shadow (III.C). The square root of the area equals it for a
+    square patch and also accounts for the part of a shadow that its rock hides.
 
     Attributes
     ----------
@@ -57,10 +58,11 @@ class DetectionRates:
             raise InputError("rates.blur", self.blur, "must be 0 or more, and finite")
 
     def relative_edge_width(self, blur: float) -> float:
-        """Return the edge width of a camera relative to that of these rates, at least 1.
+        """Return the width of image edges relative to that for these rates, at least 1.
 
-        `blur` is the point spread of the camera, 1 sigma, pixels; the size of a pixel adds to both
-        widths. A wider edge fills shadows with light as larger pixels would.
+        `blur` is the point spread of the camera, 1 sigma, pixels; the rates hold for the point
+        spread `self.blur`. The size of a pixel adds to both. A wider edge fills shadows with light
+        as larger pixels would.
         """
         return max(float(np.hypot(blur, _PIXEL_SIGMA) / np.hypot(self.blur, _PIXEL_SIGMA)), 1.0)
 

@@ -380,8 +380,10 @@ def _measure_rocks(
 ) -> Detections:
     """Convert measured dark patches to rocks, and reject those that are not shadows.
 
-    `labels` (height, width) and `table` (n, columns) are the results of `_label_patches`. Terrain
-    is at height 0 of `view`; `sun` (3,) is in the same coordinates.
+    Patches that are noise or mostly hidden by their rock are dropped; patches cut by the image
+    border or caused by the terrain become excluded labels. `labels` (height, width) and `table`
+    (n, columns) are the results of `_label_patches`. Terrain is at height 0 of `view`; `sun` (3,)
+    is in the same coordinates.
     """
     k = kernels
     is_noise = (

@@ -205,8 +205,8 @@ def _axis_errors(
     """Return twice the angles from the expected to the measured patch axes (n,).
 
     They are the angles of complex vectors, whose length grows with expected and measured
-    elongation. `points` are the positions of the rocks, m, and `sun` (3,) is the assumed direction
-    towards the Sun, ENU.
+    elongation. Small patches (q below 4) and those expected to be round are omitted. `points` are
+    the positions of the rocks, m, and `sun` (3,) is the assumed direction towards the Sun, ENU.
     """
     at = np.flatnonzero((seen.q >= _MIN_AXIS_Q) & np.isfinite(points).all(1))
     azimuth, depression = viewing_angles(view, points[at], sun)
@@ -227,10 +227,11 @@ def _face_errors(
 ) -> tuple[NDArray[np.complex128], BoolArray]:
     """Return the angles from expected to measured face directions as unit vectors.
 
-    A face direction points from the lit face of a rock to its dark patch. The vectors (n,) are
-    complex; the second result (n,) is whether the shadow is large enough to separate a face from
-    bright terrain. `points` are the positions of the rocks, m, `sun` (3,) is the assumed direction
-    towards the Sun, ENU, and `threshold` the excess over lit terrain of bright pixels.
+    A face direction points from the lit face of a rock to its dark patch; rocks without a separate
+    lit face are omitted. The vectors (n,) are complex; the second result (n,) is whether the
+    shadow is large enough to separate a face from bright terrain. `points` are the positions of
+    the rocks, m, `sun` (3,) is the assumed direction towards the Sun, ENU, and `threshold` the
+    excess over lit terrain of bright pixels.
     """
     ring = cv2.dilate(seen.rock, np.ones((2 * _RING_PX + 1, 2 * _RING_PX + 1), np.uint8))
     sums = kernels.sum_dark_and_bright(
