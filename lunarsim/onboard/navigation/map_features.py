@@ -193,7 +193,9 @@ class MapFeatures:
         """Variance of the height residual at a grid point that is evenly scanned, m^2."""
         return self.prior.sigma**2 + MODEL_SIGMA_M**2
 
-    def likelihood(self, tile: FeatureTile, row: IntArray, col: IntArray) -> tuple[Array, Array]:
+    def log_likelihood_ratios(
+        self, tile: FeatureTile, row: IntArray, col: IntArray
+    ) -> tuple[Array, Array]:
         """Return log-likelihood ratios and covered fractions of a tile at n places.
 
         A tile is a patch of scanned terrain. The ratio compares the map heights below the tile,
@@ -233,7 +235,7 @@ class MapFeatures:
         place.
         """
         middle = np.array(tile.height.shape) // 2
-        ratio, share = self.likelihood(
+        ratio, share = self.log_likelihood_ratios(
             tile, self._places[0] - middle[0], self._places[1] - middle[1]
         )
         if not (share > 0.5).any():
@@ -264,7 +266,7 @@ class MapFeatures:
         Parameters
         ----------
         ratio, covered_fraction
-            Log-likelihood ratios and covered fractions (n,), from `likelihood`.
+            Log-likelihood ratios and covered fractions (n,), from `log_likelihood_ratios`.
         mean_log_ratio
             Logarithm of the mean likelihood ratio, from `mean_log_ratio`.
         place_count

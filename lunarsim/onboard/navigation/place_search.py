@@ -337,7 +337,7 @@ class PlaceSearch:
                 selected = np.flatnonzero(
                     ((north + a) % offset_count == 0) & ((east + b) % offset_count == 0)
                 )
-                ratio[selected], covered_fraction[selected] = self.features.likelihood(
+                ratio[selected], covered_fraction[selected] = self.features.log_likelihood_ratios(
                     tile.every_second(a, b),
                     (north[selected] + a) // offset_count + tile.first[0] // 2,
                     (east[selected] + b) // offset_count + tile.first[1] // 2,

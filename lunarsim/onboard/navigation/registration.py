@@ -68,10 +68,12 @@ def find_initial_shift(
     x, y = posting * across, posting * along
     inverse = np.linalg.inv(covariance)
     log = -0.5 * (inverse[0, 0] * x**2 + 2.0 * inverse[0, 1] * x * y + inverse[1, 1] * y**2)
-    for row, col, tile in _tiles(surface, features):
+    for row, col, tile in _divide_into_tiles(surface, features):
         mean_log_ratio = features.mean_log_ratio(tile)
         if mean_log_ratio is not None:
-            likelihood = features.likelihood(tile, row + along.ravel(), col + across.ravel())
+            likelihood = features.log_likelihood_ratios(
+                tile, row + along.ravel(), col + across.ravel()
+            )
             log += features.log_factor(*likelihood, mean_log_ratio, log.size).reshape(log.shape)
     p = np.exp(log - log.max())
     p /= p.sum()
@@ -84,7 +86,9 @@ def find_initial_shift(
     )
 
 
-def _tiles(surface: ScanSurface, features: MapFeatures) -> list[tuple[int, int, FeatureTile]]:
+def _divide_into_tiles(
+    surface: ScanSurface, features: MapFeatures
+) -> list[tuple[int, int, FeatureTile]]:
     """Divide a scan into tiles for the comparison with a map.
 
     Each element of the list is a tile and its place: row and column of the tile's first cell on

@@ -52,7 +52,9 @@ class Submap:
         if np.ptp(place, axis=0).max() >= _MAX_SQUARES:
             return False
         col, row = place.astype(np.int64).T
-        if not self._cover(int(row.min()), int(row.max()), int(col.min()), int(col.max())):
+        if not self._extend_to_cover(
+            int(row.min()), int(row.max()), int(col.min()), int(col.max())
+        ):
             return False
         rows, cols = self._sum.shape
         index = (row - self.first[0]) * cols + col - self.first[1]
@@ -60,7 +62,7 @@ class Submap:
         self._count += np.bincount(index, minlength=rows * cols).reshape(rows, cols)
         return True
 
-    def _cover(self, south: int, north: int, west: int, east: int) -> bool:
+    def _extend_to_cover(self, south: int, north: int, west: int, east: int) -> bool:
         """Extend the arrays to cover given rows and columns; return whether possible.
 
         `south` and `north` are row numbers, `west` and `east` column numbers. If the map would
