@@ -236,11 +236,11 @@ def score_paths(
     Limits are checked at the samples of `limit_table`, and sensors observe at those of
     `observation_table`; tables, `powers` and `vehicle_params` are as for `evaluate_path`.
     `max_final_tilt` is a tangent and applies at the end and where observations no longer count.
-    `site` (5,) is the site, the height of the centre of mass of a landed vehicle, and the altitude
-    below which observations do not count, m. `single_altitudes` (sensors, k), m, are the altitudes
-    of single observations; a sensor with NaN observes at every sample. The arguments from
-    `sharpness` to `sensor_params` describe the sensors (`SensorCoverageModel`). `thread_slice` is
-    (thread, number of threads).
+    `site` (5,) is the position of the site (3), the height of the centre of mass of a landed
+    vehicle, and the altitude below which observations do not count, m. `single_altitudes`
+    (sensors, k), m, are the altitudes of single observations; a sensor with NaN observes at every
+    sample. The arguments from `sharpness` to `sensor_params` describe the sensors
+    (`SensorCoverageModel`). `thread_slice` is (thread, number of threads).
     """
     total = 0.0
     for g in range(nodes.shape[0]):

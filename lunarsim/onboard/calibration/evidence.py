@@ -66,14 +66,15 @@ class MapRegression:
     file
         Name of the file with the weights supplied with lunarsim, in this package.
     knots
-        Knots of each term of the map.
+        Knots of the splines of the map's own terms, one array per term.
     count_knots
-        Knots of the numbers of undetected rocks and holes, decades.
+        Knots of the splines of the expected numbers of undetected rocks and holes, log10.
     rising_terms
-        Number of first terms with which safety increases; it decreases with all others.
+        Number of terms, counted from the first, with whose values the probability of safety
+        increases; it decreases with the values of all other terms.
     limits, near_limits
-        Maximum expected numbers in the domain, and near it, where the fits to all other worlds were
-        conservative enough.
+        Maximum expected numbers of undetected rocks and holes in the domain, and near it, where the
+        fits to all other worlds were conservative enough.
     outside_margin
         Margin on the log odds of sites outside the domain, or not almost certainly safe.
     max_unsafe_p

@@ -235,11 +235,11 @@ class MapEvidence(CalibrationEvidence):
     def p_no_rock_under_pads(self) -> Array:
         """Return the probability that no unseen rock tilts the lander beyond its limit.
 
-        Such a rock lies under a pad and raises the slope above its limit. On a slope even a low
-        rock violates the slope limit: twice the expected number is used, with the counts of gravel.
-        Where a rock below the minimum counted height would violate the limit, the number of such
-        rocks comes only from the mission's distribution, and the probability stays below the
-        threshold of claimed safety. The result is (rows, cols).
+        Such a rock lies in the ring that the pads may touch and raises the slope above its limit.
+        Their expected number includes gravel and is doubled, because on a slope even a low rock
+        violates the slope limit. Where a rock below the minimum counted height would violate the
+        limit, the number of such rocks comes only from the mission's distribution, and the
+        probability stays below the threshold of claimed safety. The result is (rows, cols).
         """
         height = self.tilting_height
         rocks = self.count_rocks(self.curve.with_gravel, height, pad_ring_area(self.lander))

@@ -249,7 +249,8 @@ class SiteEvidence(CalibrationEvidence):
 
         In a weighted sum, many favourable inputs can outweigh one that is fatal. For slopes or
         roughness near or beyond the limit of the lander, the upper limits are the fraction of safe
-        sites in the simulated terrain used for the fit, at most `MAX_PROBABILITY`.
+        sites in the simulated terrain used for the fit, at most `MAX_PROBABILITY`. For sites that
+        were not evaluated, the limit is 0.
         """
         factors = (
             np.interp(self.slope, *_SLOPE_CEILING),

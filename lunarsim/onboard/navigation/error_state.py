@@ -141,8 +141,9 @@ class ErrorState(SchmidtKalmanCovariance):
     def inflate(self, columns: ArrayLike, factor: float, max_sigma: ArrayLike) -> None:
         """Multiply the conditional variances of some errors by a factor.
 
-        `columns` (k,) are the indices of the errors, and `max_sigma` (k,) their maximum standard
-        deviations after the inflation. Correlations with the other errors remain valid.
+        The conditional variance is the part that the other errors do not explain. `columns` (k,)
+        are the indices of the errors, and `max_sigma` (k,) their maximum standard deviations after
+        the inflation. Correlations with the other errors remain valid.
         """
         inflate(self.covariance, columns, factor, max_sigma)
 

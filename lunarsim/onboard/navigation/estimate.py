@@ -139,7 +139,11 @@ class Navigation(ABC):
 
     @abstractmethod
     def estimate(self, time: float, mass: float) -> Estimate:
-        """Return the estimate at `time` (s); `mass` (kg) is that assumed by the computer."""
+        """Return the estimate at `time` (s).
+
+        `mass` (kg) is the mass that the onboard computer assumes; filters that do not estimate the
+        mass return it.
+        """
 
     @property
     def is_drifting(self) -> bool:

@@ -190,7 +190,11 @@ class MapFeatures:
 
     @property
     def variance(self) -> float:
-        """Variance of the height residual at a grid point that is evenly scanned, m^2."""
+        """Variance of the height of a scan minus the map at a grid point, m^2.
+
+        It contains the noise of the map and the model error for a scan that covers the cell of the
+        grid point evenly.
+        """
         return self.prior.sigma**2 + MODEL_SIGMA_M**2
 
     def log_likelihood_ratios(

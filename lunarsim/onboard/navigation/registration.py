@@ -367,7 +367,8 @@ def _initial_error(
 def is_good_fit(fit: MapFit) -> bool:
     """Return whether enough grid squares agree in a fit, with small residuals.
 
-    At least 12 squares and 70 % of the compared ones must agree.
+    At least 12 squares and 70 % of the compared ones must agree, and the mean square of their
+    residuals must be at most 1.6 times the variance.
     """
     return (
         fit.used >= MIN_SQUARES

@@ -146,9 +146,10 @@ class Detections:
         Labels of patches that belong to no rock but hide terrain: terrain in its own shadow,
         patches cut by the image border, and invalid pixels.
     relative
-        Brightness relative to the nearby slopes if they were lit (height, width).
+        Brightness relative to nearby slopes outside shadows (height, width).
     relative_to_lit_terrain
-        Brightness relative to the nearby lit terrain including its slopes (height, width).
+        Brightness relative to lit terrain in a wider neighbourhood (height, width); lit slopes
+        differ from 1.
     largest
         Longest half axis of the largest rock that each label may be the shadow of (labels + 1,), m;
         0 for none, infinite where unknown.

@@ -337,6 +337,9 @@ class ImageQualityCheck:
     def after_detection(self, seen: Detections, turn: SunAngle, noise: float) -> ImageQuality:
         """Check an image, and the assumed Sun direction, by the detected shadows.
 
+        The result contains the first fault found: too much darkness, too few, blurred or bright
+        shadows, or a Sun direction that is contradicted or not confirmed.
+
         Parameters
         ----------
         seen
@@ -384,7 +387,8 @@ class ImageQualityCheck:
     def is_conclusive(self, turn: SunAngle) -> bool:
         """Return whether a shadow angle confirms or contradicts the Sun direction.
 
-        `turn` is the angle between shadows and their expected direction.
+        It does if it contradicts the direction, or if it is accurate and smaller than the angle of
+        a contradiction. `turn` is the angle between shadows and their expected direction.
         """
         near = abs(turn.angle) < self.settings.contradict_angle
         return self.contradicts(turn) or (self.is_accurate(turn) and near)

@@ -44,9 +44,10 @@ class Segmentation:
     brightness
         Gamma-corrected brightness relative to nearby lit terrain, 8 bits (height, width).
     relative
-        Brightness relative to the nearby slopes if they were lit (height, width).
+        Brightness relative to nearby slopes outside shadows (height, width).
     relative_to_lit_terrain
-        Brightness relative to nearby lit terrain including its slopes (height, width).
+        Brightness relative to lit terrain in a wider neighbourhood (height, width); lit slopes
+        differ from 1.
     left_out
         Mask of pixels that are not finite (height, width); None if all are finite.
     """
