@@ -241,7 +241,8 @@ class InformationPlanner:
     ) -> tuple[Array, Array, Array]:
         """Return net value, information and propellant (kg) of plans (n, 4), each (n,).
 
-        The net value is the information minus the weighted propellant; -inf: not admissible.
+        The information is the fraction of hazard uncertainty removed. The net value is the
+        information minus the weighted propellant; it is -inf for a plan that is not admissible.
         `max_propellant`, kg, limits the propellant of admissible plans.
         """
         scored = self.score(problem, plans)
@@ -357,6 +358,9 @@ def _plan_parameters(plan: PathPlan) -> Array:
 
 @lru_cache(maxsize=8)
 def _halton_points(count: int) -> Array:
-    """Return points of a Halton sequence, evenly spread in a unit cube (count, 4)."""
+    """Return points (count, 4) of a Halton sequence in the four-dimensional unit cube.
+
+    They are evenly spread; at least one point is returned.
+    """
     points: Any = qmc.Halton(4, scramble=False).random(max(count, 1) + 1)[1:]
     return np.asarray(points)

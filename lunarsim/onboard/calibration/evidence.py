@@ -155,7 +155,10 @@ class CalibrationEvidence(ABC):
     @property
     @abstractmethod
     def is_covered_by_fit(self) -> bool:
-        """Whether the measurements of the map are in the range of the fit."""
+        """Whether noise and similar properties of the map are in the range of the fit.
+
+        If not, no site is in the domain.
+        """
 
     @property
     @abstractmethod

@@ -225,8 +225,9 @@ class MapEvidence(CalibrationEvidence):
         """Return the upper bound of safety that slope and roughness set (rows, cols).
 
         In a sum of evidence, much good evidence can outweigh one fatal defect. The probability is
-        therefore at most `_MAX_P_FACTOR` times the lower of slope and roughness safety by support
-        planes. Close to the slope limit, no fit has enough sites to claim safety.
+        therefore at most four times the lower of the probabilities that slope and roughness by
+        support planes are within their limits. Close to the slope limit, no fit has enough sites
+        to claim safety, and the bound is lower.
         """
         p_worst = np.minimum(self.planes.p_slope, self.planes.p_roughness).astype(np.float64)
         ceiling = np.interp(self.slope, *_SLOPE_CEILING)

@@ -151,7 +151,11 @@ class SiteEvidence(CalibrationEvidence):
 
     @property
     def terrain_roughness(self) -> Array:
-        """Height of the highest point without noise, relative to the limit (n,)."""
+        """Height of the highest point of the footprint over the roughness limit (n,).
+
+        It is the distance from the terrain plane minus three standard deviations of noise, at
+        least 0.
+        """
         return self.denoised_relief()[0]
 
     @property
@@ -223,8 +227,10 @@ class SiteEvidence(CalibrationEvidence):
     def denoised_relief(self) -> tuple[Array, Array]:
         """Return highest point and spread of points without noise, relative to the limit.
 
-        Both (n,). Three standard deviations of noise are subtracted from the highest point, and the
-        noise variance from that of the spread.
+        Both are (n,), over the roughness limit. The first is the maximum distance of a point of
+        the footprint from its plane minus three standard deviations of noise; the second is the
+        spread of the zone's points about the fitted plane, from whose variance the noise variance
+        is subtracted.
         """
         noise = self.noise / self.lander.roughness_limit
         spread = np.sqrt(np.maximum(self.fitted_spread**2 - noise**2, 0.0))

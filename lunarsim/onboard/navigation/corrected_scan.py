@@ -170,15 +170,20 @@ class CorrectedScan:
         return average_scan(self.points(), grid)
 
     def point_jacobian(self, point: Array) -> Array:
-        """Return the Jacobian of a point (3,) with respect to the scan's errors (3, 11)."""
+        """Return the Jacobian of a point (3,) with respect to the scan's errors (3, 11).
+
+        The errors are position (m), small rotation in body axes (rad), range (m), boresight (3,
+        rad) and latency (s).
+        """
         return self.jacobian(np.broadcast_to(point, (3, 3)), np.eye(3))
 
     def jacobian(self, points: Array, vectors: Array) -> Array:
         """Return the Jacobian (n, 11) of points by the scan's errors, along given vectors.
 
-        Row i is the displacement of `points` i by each error, projected on `vectors` i; both are
-        (n, 3). With vectors (-dz/dx, -dz/dy, 1) this is the Jacobian of the terrain height at fixed
-        horizontal positions.
+        The errors are position (m), small rotation in body axes (rad), range (m), boresight (3,
+        rad) and latency (s). Row i is the displacement of `points` i by each error, projected on
+        `vectors` i; both are (n, 3). With vectors (-dz/dx, -dz/dy, 1) this is the Jacobian of the
+        terrain height at fixed horizontal positions.
         """
         rotation = quat_to_matrix(self.attitude)
         return np.asarray(

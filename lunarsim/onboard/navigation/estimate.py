@@ -47,7 +47,10 @@ class Estimate:
     lost: bool = False
 
     def extrapolate(self, seconds: float) -> Estimate:
-        """Return the estimate `seconds` later, for constant velocity and body rate."""
+        """Return the estimate `seconds` later, for constant velocity and body rate.
+
+        The covariance stays unchanged.
+        """
         attitude = self.attitude.copy()
         rotate_quaternion(attitude, self.rate * seconds)
         return replace(

@@ -322,7 +322,10 @@ def remove_implausible_ranges(scan: LidarScan) -> LidarScan:
 
 
 def scan_width(scan: LidarScan) -> float:
-    """Return the width of a scan across the line of sight, m; NaN without returns."""
+    """Return the width of a scan across the line of sight, m; NaN without returns.
+
+    It is the width at the median range.
+    """
     if not np.isfinite(scan.range).any():
         return np.nan
     reach = np.nanmedian(scan.range)

@@ -263,10 +263,11 @@ class DeferredUpdates:
         return bool(self._full_rows)
 
     def apply(self, p: Array) -> bool:
-        """Subtract all queued products from the first n rows and columns of p, in place.
+        """Subtract all queued products from a covariance p in place; empty the queue.
 
-        The return value states whether the columns of active errors are now out of date in the rows
-        of frozen errors.
+        The products are (n, n); `p` may be larger, but only its first n rows and columns change.
+        The return value states whether the columns of active errors are now out of date in the
+        rows of frozen errors.
         """
         is_outdated = False
         if self._full_rows:

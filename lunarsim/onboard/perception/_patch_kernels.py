@@ -32,8 +32,9 @@ def _borders_on(label, up, down, left, right):
 def _count_pixel(out, label, tx, ty, is_rim, is_edge, is_deep):
     """Count a pixel in row `label` of the patch table `out` and add its tangents.
 
-    `tx` and `ty` are the tangents of its line of sight. The pixel may be at the rim of its patch,
-    on a brightness edge of the image, and darker than half way to lit terrain (deep).
+    `tx` and `ty` are the tangents of its line of sight. The flags state whether the pixel is at
+    the rim of its patch, on a brightness edge of the image (counted only at the rim), and darker
+    than half way to lit terrain (deep).
     """
     out[label, PIXELS] += 1.0
     if is_deep:

@@ -67,11 +67,17 @@ class DetectionRates:
         return max(float(np.hypot(blur, _PIXEL_SIGMA) / np.hypot(self.blur, _PIXEL_SIGMA)), 1.0)
 
     def false_negative(self, q: Any) -> Array:
-        """Return the false-negative rate FN(q) for q, the root of the dark pixels (...)."""
+        """Return the false-negative rate FN(q) of shadows (...).
+
+        `q` (...) is the square root of the number of dark pixels.
+        """
         return _clipped_line(self.missed, q)
 
     def false_positive(self, q: Any) -> Array:
-        """Return the false-positive rate FP(q) for q, the root of the dark pixels (...)."""
+        """Return the false-positive rate FP(q) of detections (...).
+
+        `q` (...) is the square root of the number of dark pixels.
+        """
         return _clipped_line(self.false, q)
 
     def false_clear(self, q: Any) -> Array:

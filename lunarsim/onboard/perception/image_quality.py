@@ -474,10 +474,10 @@ def _looks_down(view: View) -> BoolArray:
 def _missing_lines(image: NDArray[Any], below_horizon: BoolArray, lit: float) -> float:
     """Return the fraction of rows or columns of terrain that were not read out.
 
-    `below_horizon` marks the sampled pixels that show terrain, and `lit` is the
-    brightness of lit terrain, counts. Lines that were not read out repeat the previous line, which
-    never happens on lit terrain, or they are completely dark up to a straight end, which no shadow
-    has.
+    The larger of the two fractions is returned, 0 if the image shows no terrain. `below_horizon`
+    marks the sampled pixels that show terrain, and `lit` is the brightness of lit terrain, counts.
+    Lines that were not read out repeat the previous line, which never happens on lit terrain, or
+    they are completely dark up to a straight end, which no shadow has.
     """
     highest = 0.0
     for lines_first, below in ((image, below_horizon), (image.T, below_horizon.T)):

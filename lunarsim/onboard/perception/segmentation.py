@@ -116,9 +116,10 @@ def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Se
 
 
 def _no_shadows(shape: tuple[int, ...], left_out: BoolArray | None) -> Segmentation:
-    """Return a segmentation without shadows for an image of a shape.
+    """Return a segmentation without shadows for an image of a given shape.
 
-    `left_out` marks the pixels that are not finite.
+    `shape` is (height, width); all brightness values are 0. `left_out` marks the pixels that are
+    not finite.
     """
     none = np.zeros(shape, np.uint8)
     black = none.astype(np.float32)

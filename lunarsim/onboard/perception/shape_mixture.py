@@ -231,7 +231,9 @@ class ShapeMixture:
         """Return q, the square root of the number of dark pixels of a rock's patch (...).
 
         `radius` is that of the rocks, m, and `pixel` the size of a pixel across the line of sight
-        at the rock, m. `azimuth` and `depression`, rad, are those of `patch`.
+        at the rock, m. `azimuth` is that of the camera from the rock minus that of the Sun, and
+        `depression` that of the line of sight, rad. All are (...); the patch is the mean over the
+        shapes.
         """
         # Terrain above the camera is not visible.
         area = self.patch(azimuth, depression).area * np.sin(np.maximum(depression, 0.0))
