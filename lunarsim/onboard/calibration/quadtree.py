@@ -153,8 +153,8 @@ class SiteEvidence(CalibrationEvidence):
     def terrain_roughness(self) -> Array:
         """Height of the highest point of the footprint over the roughness limit (n,).
 
-        It is the distance from the terrain plane minus three standard deviations of noise, at
-        least 0.
+        It is the distance from the terrain plane minus three standard deviations of noise, not
+        below 0.
         """
         return self.denoised_relief()[0]
 
