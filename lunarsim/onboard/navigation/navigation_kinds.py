@@ -87,7 +87,7 @@ class FixNavigation(Navigation):
     def take(self, sensor: str, measurement: Any, time: float) -> None:
         """Store a position fix, or the angular rate measured by the gyroscopes.
 
-        `time` is the current time, s. Other measurements are ignored.
+        `time` is the current time, s. Other measurements, late ones and invalid fixes are ignored.
 
         Raises
         ------

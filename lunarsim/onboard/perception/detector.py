@@ -93,9 +93,10 @@ class Detections:
         Labels of patches that belong to no rock but hide terrain: terrain in its own shadow,
         patches cut by the image border, and invalid pixels.
     relative
-        Brightness relative to the nearby slopes if they were lit (height, width).
+        Brightness relative to nearby slopes outside shadows (height, width).
     relative_to_lit_terrain
-        Brightness relative to the nearby lit terrain including its slopes (height, width).
+        Brightness relative to lit terrain in a wider neighbourhood (height, width); lit slopes
+        differ from 1.
     largest
         Longest half axis of the largest rock that each label may be the shadow of (labels + 1,), m;
         0 for none, infinite where unknown.
@@ -136,7 +137,11 @@ class Detections:
         return np.asarray(place[self.labels])
 
     def with_invalid(self, invalid: BoolArray) -> Detections:
-        """Return a copy with an excluded patch of the `invalid` pixels (height, width)."""
+        """Return a copy in which the `invalid` pixels (height, width) hide the terrain.
+
+        They form one new patch in `labels` and `excluded_labels`. Without invalid pixels, the
+        detections themselves are returned.
+        """
         if not invalid.any():
             return self
         label = np.int32(len(self.largest))
@@ -317,8 +322,10 @@ def _measure_rocks(
 ) -> Detections:
     """Convert measured dark patches to rocks, and reject those that are not shadows.
 
-    `labels` (height, width) and `table` (n, columns) are the results of `_label_patches`. Terrain
-    is at height 0 of `view`; `sun` (3,) is in the same coordinates.
+    Patches that are noise or mostly hidden by their rock are dropped; patches cut by the image
+    border or caused by the terrain become excluded labels. `labels` (height, width) and `table`
+    (n, columns) are the results of `_label_patches`. Terrain is at height 0 of `view`; `sun` (3,)
+    is in the same coordinates.
     """
     k = kernels
     is_noise = (
@@ -411,8 +418,9 @@ def _rock_centres(
 def _area_fraction(estimate: RadiusEstimate, view: View, table: Array) -> Array:
     """Return measured over expected number of pixels of dark patches (n,).
 
-    `estimate` are the radii from length and width of the patches, and `table` the measured patches.
-    A small value indicates several merged shadows.
+    `estimate` are the radii from length and width of the patches, and `table` the measured
+    patches. The ratio is scaled so that a single shadow typically has 1; a small value indicates
+    several merged shadows.
     """
     line_of_sight = np.column_stack(
         (table[:, kernels.TX], table[:, kernels.TY], np.ones(len(table)))

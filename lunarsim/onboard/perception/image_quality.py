@@ -230,8 +230,9 @@ class ImageQualityCheck:
     def _repeated_fraction(self, sampled: NDArray[Any], min_brightness: float) -> float:
         """Return the maximum fraction of lit pixels that repeat an earlier image.
 
-        The maximum is over horizontal bands of the image. `sampled` are the sampled pixels; those
-        of at least `min_brightness`, counts, are lit.
+        The maximum is over the last images and over bands of rows and of columns; bands in which
+        less than 20 % of the pixels are lit are skipped. `sampled` are the sampled pixels; those of
+        at least `min_brightness`, counts, are lit.
         """
         highest = 0.0
         bright = sampled >= min_brightness
@@ -252,6 +253,9 @@ class ImageQualityCheck:
 
     def after_detection(self, seen: Detections, turn: SunAngle, noise: float) -> ImageQuality:
         """Check an image, and the assumed Sun direction, by the detected shadows.
+
+        The result contains the first fault found: too much darkness, too few, blurred or bright
+        shadows, or a Sun direction that is contradicted or not confirmed.
 
         Parameters
         ----------
@@ -296,7 +300,8 @@ class ImageQualityCheck:
     def is_conclusive(self, turn: SunAngle) -> bool:
         """Return whether a shadow angle confirms or contradicts the Sun direction.
 
-        `turn` is the angle between shadows and their expected direction.
+        It does if it contradicts the direction, or if it is accurate and smaller than the angle of
+        a contradiction. `turn` is the angle between shadows and their expected direction.
         """
         near = abs(turn.angle) < _CONTRADICT_ANGLE
         return self.contradicts(turn) or (self.is_accurate(turn) and near)
@@ -321,8 +326,9 @@ class ImageQualityCheck:
     def _check_sun(self, turn: SunAngle) -> ImageRejection | None:
         """Compare a shadow angle with the Sun direction; return a fault, or None.
 
-        Updates whether the Sun direction is confirmed. `turn` is the angle between shadows and
-        their expected direction.
+        The result is None if this image or an earlier one has confirmed the Sun direction, and
+        this image gives no reason against it. Updates whether the direction is confirmed. `turn`
+        is the angle between shadows and their expected direction.
         """
         if self.contradicts(turn):
             self.sun.confirmed, self.sun.side = False, 0.0
@@ -347,7 +353,10 @@ class ImageQualityCheck:
 
 
 def _shadow_brightness(seen: Detections) -> float:
-    """Return the brightness of the darkest rock shadows relative to lit terrain."""
+    """Return the brightness of the darkest rock shadows relative to lit terrain.
+
+    It is infinite without a rock shadow.
+    """
     shaded = seen.relative[seen.rock > 0]
     at = int(_SHADE_QUANTILE * shaded.size)
     return float(np.partition(shaded, at)[at]) if shaded.size else np.inf
@@ -357,7 +366,7 @@ def _lit_brightness(pixels: NDArray[Any]) -> float:
     """Return the brightness of lit terrain among some pixels (n,), counts.
 
     Lit pixels have at least half of the brightness of the 90th percentile, also if most of the
-    image is dark.
+    image is dark. The result is 0 if nearly all pixels are black.
     """
     shown = pixels[pixels > _MAX_BLACK_COUNTS]
     if len(shown) < _MIN_LIT_FRACTION * len(pixels):
@@ -366,7 +375,7 @@ def _lit_brightness(pixels: NDArray[Any]) -> float:
 
 
 def _looks_down(view: View) -> BoolArray:
-    """Return which sampled pixels (rows, cols) are below the horizon."""
+    """Return which of the sampled pixels of a view are below the horizon (rows, cols)."""
     u = (np.arange(0, view.width, _PIXEL_STRIDE) - view.cx) / view.fx
     v = (np.arange(0, view.height, _PIXEL_STRIDE) - view.cy) / view.fy
     up = view.axes[2]
@@ -376,10 +385,10 @@ def _looks_down(view: View) -> BoolArray:
 def _missing_lines(image: NDArray[Any], below_horizon: BoolArray, lit: float) -> float:
     """Return the fraction of rows or columns of terrain that were not read out.
 
-    `below_horizon` marks the sampled pixels that show terrain, and `lit` is the
-    brightness of lit terrain, counts. Lines that were not read out repeat the previous line, which
-    never happens on lit terrain, or they are completely dark up to a straight end, which no shadow
-    has.
+    The larger of the two fractions is returned, 0 if the image shows no terrain. `below_horizon`
+    marks the sampled pixels that show terrain, and `lit` is the brightness of lit terrain, counts.
+    Lines that were not read out repeat the previous line, which never happens on lit terrain, or
+    they are completely dark up to a straight end, which no shadow has.
     """
     highest = 0.0
     for lines_first, below in ((image, below_horizon), (image.T, below_horizon.T)):
@@ -420,6 +429,7 @@ def _noise(image: NDArray[Any]) -> float:
 
     Uses the Laplacian of Immerkaer (1996, Computer Vision and Image Understanding 64), which is 0
     on a slope. Its lower quartile is insensitive to edges, also if they fill half of the image.
+    The result is 0 for images below 24 pixels per side.
     """
     h, w = image.shape
     if min(h, w) < 3 * _BAND_COUNT:

@@ -47,9 +47,10 @@ class Segmentation:
     brightness
         Gamma-corrected brightness relative to nearby lit terrain, 8 bits (height, width).
     relative
-        Brightness relative to the nearby slopes if they were lit (height, width).
+        Brightness relative to nearby slopes outside shadows (height, width).
     relative_to_lit_terrain
-        Brightness relative to nearby lit terrain including its slopes (height, width).
+        Brightness relative to lit terrain in a wider neighbourhood (height, width); lit slopes
+        differ from 1.
     left_out
         Mask of pixels that are not finite (height, width); None if all are finite.
     """
@@ -112,9 +113,10 @@ def segment(image: ArrayLike) -> Segmentation:
 
 
 def _no_shadows(shape: tuple[int, ...], left_out: BoolArray | None) -> Segmentation:
-    """Return a segmentation without shadows for an image of a shape.
+    """Return a segmentation without shadows for an image of a given shape.
 
-    `left_out` marks the pixels that are not finite.
+    `shape` is (height, width); all brightness values are 0. `left_out` marks the pixels that are
+    not finite.
     """
     none = np.zeros(shape, np.uint8)
     black = none.astype(np.float32)
@@ -212,10 +214,12 @@ def _slope_brightness(ratio: NDArray[np.float32], core: float, lit: float) -> ND
 def _shadow_masks(
     relative: NDArray[np.float32], ratio: NDArray[np.float32], core: float, lit: float
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return masks of shadow, and of pixels below half brightness (height, width).
+    """Return masks of shadow and of deep shadow, 0 or 1 and 0 or 255 (height, width).
 
-    `relative` and `ratio` (height, width) are the brightness relative to nearby slopes and to lit
-    terrain; `core` and `lit` are the brightness of shadow and of lit terrain.
+    Pixels of deep shadow are darker than half way from shadow to lit terrain; the first mask also
+    has brighter pixels of small shadows. `relative` and `ratio` (height, width) are the brightness
+    relative to nearby slopes and to lit terrain; `core` and `lit` are the brightness of shadow and
+    of lit terrain.
     """
     core, darkest = core / lit, core + _MIN_SLOPE_LEVEL * (lit - core)
 
