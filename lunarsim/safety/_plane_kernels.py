@@ -100,23 +100,6 @@ def _block_above_plane(tops, site, blocks, centres, n, gx, gy):
 
 
 @kernel(inline=True)
-def _four_blocks_above_plane(tops, site, blocks, centres, n, gx, gy):
-    """Return the four results of `_block_above_plane` for blocks `n` to n + 3."""
-    a = _block_above_plane(tops, site, blocks, centres, n, gx, gy)
-    b = _block_above_plane(tops, site, blocks, centres, n + 1, gx, gy)
-    c = _block_above_plane(tops, site, blocks, centres, n + 2, gx, gy)
-    d = _block_above_plane(tops, site, blocks, centres, n + 3, gx, gy)
-    return a, b, c, d
-
-
-@kernel(inline=True)
-def _highest(four):
-    """Return the maximum of four vectors, lane by lane."""
-    a, b, c, d = four
-    return lane_max(lane_max(a, b), lane_max(c, d))
-
-
-@kernel(inline=True)
 def _max_block_above_plane(tops, site, blocks, centres, start, stop, gx, gy):
     """Return the maximum height above planes of blocks `start` to `stop` - 1.
 

@@ -10,7 +10,6 @@ from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_to_ma
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.instruments import LidarInstrument
-from lunarsim.onboard.navigation import _registration_kernels as k
 from lunarsim.onboard.navigation import _registration_kernels as kernels
 from lunarsim.onboard.navigation.inertial import StrapdownState
 from lunarsim.typing import Array, IntArray
@@ -47,10 +46,10 @@ def average_scan(points: Array, grid: Grid, min_points: int = 4) -> ScanSurface:
     square centres along the slopes. Squares are omitted if they have no neighbours on all four
     sides, or if their mean point is farther than a quarter of the grid spacing from the centre.
     """
-    col, row, mean, _ = k.average_points(
+    col, row, mean, _ = kernels.average_points(
         np.ascontiguousarray(points), grid.x0, grid.y0, grid.posting, min_points
     )
-    height, slope, good = k.centre_heights(
+    height, slope, good = kernels.centre_heights(
         col, row, mean, grid.x0, grid.y0, grid.posting, 0.25 * grid.posting
     )
     col, row, height, slope = col[good], row[good], height[good], slope[good]
