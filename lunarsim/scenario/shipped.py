@@ -88,7 +88,7 @@ def description_of(path: Path) -> str:
 
 
 def copy_to(name: str, target: Path) -> list[Path]:
-    """Copy a supplied scenario and its data files; return the paths of the written files.
+    """Copy a supplied scenario and its data files; return the paths written.
 
     A data file that already exists with the same contents is not written again.
 
