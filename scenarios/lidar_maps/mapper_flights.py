@@ -263,7 +263,7 @@ Maps = dict[str, HazardMap]
 
 
 def fly(task: MapperFlightTask) -> MapperFlight:
-    """Simulate the flights over one terrain, one with each map and policy."""
+    """Simulate the flights over one terrain, one with each map and policy of `WAYS`."""
     plain = scenario_of(task.world)
     world = build_world(plain, RandomStreams(flight_seed(task.seed, task.flight)))
     truth = TerrainTruth.of(world, plain.vehicle.make())

@@ -47,7 +47,8 @@ class ExternalFixes:
 class FixNavigation(Navigation):
     """Navigation that returns the last fix of an external navigation system.
 
-    A fix is not propagated; the angular rate is that of the last gyroscope sample, if any. Before the first fix, the estimate is the initial one. A fix is ignored if it is not finite, its
+    A fix is not propagated; the angular rate is that of the last gyroscope sample, if any. Before
+    the first fix, the estimate is the initial one. A fix is ignored if it is not finite, its
     attitude is not a unit quaternion or a variance is negative. `MeasurementSequencer` rejects
     fixes that are out of order. Navigation is lost if there is no fix for 2 s.
 

@@ -167,7 +167,7 @@ def fit_residuals(
     *,
     outlier_variance: Array | None = None,
 ) -> MapFit:
-    """Return what height residuals without outliers tell about errors, as information.
+    """Return the information on errors in height residuals without outliers.
 
     The result does not contain the prior; `solve_error` combines both to the estimate.
 
