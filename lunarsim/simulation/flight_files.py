@@ -17,8 +17,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
+from lunarsim.core.touchdown import VALUES
 from lunarsim.errors import InputError, error_reason
 from lunarsim.grid import Grid
 from lunarsim.json_files import read_json
@@ -42,20 +43,14 @@ class _StrictRecord(BaseModel):
     model_config = ConfigDict(strict=True, extra="allow")
 
 
-class _Touchdown(BaseModel):
-    """Touchdown in ``flight.json``: the fields of `vehicle.touchdown.Touchdown`."""
-
-    model_config = ConfigDict(strict=True, extra="forbid")
-
-    position: _Vector
-    heading: float
-    vertical_speed: float
-    horizontal_speed: float
-    tilt: float
-    rate: float
-    slope: float
-    roughness: float
-    tip_margin: float
+# Touchdown in ``flight.json``: the fields of `vehicle.touchdown.Touchdown`.
+_TOUCHDOWN_FIELDS: dict[str, Any] = dict.fromkeys(("heading", *VALUES), (float, ...))
+_Touchdown = create_model(
+    "_Touchdown",
+    __config__=ConfigDict(strict=True, extra="forbid"),
+    position=(_Vector, ...),
+    **_TOUCHDOWN_FIELDS,
+)
 
 
 class _OutcomeRecord(_StrictRecord):
