@@ -288,12 +288,12 @@ def test_rock_position_errors_exclude_shared_errors(script):
         computer=SimpleNamespace(mappers={"rocks": mapper}),
         world=SimpleNamespace(terrain=terrain), navigation_error=np.array([5.0, -7.0, 0.0]),
     )  # fmt: skip
-    off, claim, nees, count = places.position_errors(simulation)
-    assert count == 24
-    assert off == pytest.approx(np.sqrt(0.05))
+    found = places.position_errors(simulation)
+    assert found["rocks"] == 24
+    assert found["error_m"] == pytest.approx(np.sqrt(0.05))
     # Rocks that are known a priori share no error with the lander.
     variance = 0.2**2 / 24 + 2.0**2
-    assert claim == pytest.approx(np.sqrt(variance))
-    assert nees == pytest.approx(0.1 / variance)
+    assert found["sigma_m"] == pytest.approx(np.sqrt(variance))
+    assert found["nees"] == pytest.approx(0.1 / variance)
     existence[4:] = 0.0
-    assert places.position_errors(simulation) is None
+    assert np.isnan(list(places.position_errors(simulation).values())).all()
