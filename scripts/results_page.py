@@ -1,6 +1,6 @@
 """Print the page docs/validation/results-by-seed.md from the stored results.
 
-A study writes its results with `--json FILE`, or to `results.json` with `--out DIR`. `python
+A study writes its results to `results.json` with `--out DIR`. `python
 scripts/results_page.py --store NAME FILE` stores the part that the page shows in
 `docs/results/NAME.json`: every metric by seed, the value of the paper, and the command of the
 study (`--command`). The page is generated from these files only.
@@ -184,7 +184,8 @@ def real_returns(results: dict[str, Any]) -> list[SeedMetric]:
     """
     out = []
     for name in ("as flights do", "field of Table 6"):
-        splits = results["ground"]["heights"][name]["by split"]
+        wanted = {"returns": "terrain returns", "map": name, "slope": "all"}.items()
+        splits = [row for row in results["rows"] if wanted <= row.items()]
         out += [
             SeedMetric(f"{name}: {label}", unit, [split[key] for split in splits])
             for key, label, unit in (

@@ -163,19 +163,24 @@ def test_navigation_metrics_are_by_flight(results):
 
 
 def test_real_return_metrics_are_by_split(results):
-    heights = {
-        name: {"by split": [{"rmse": k + 0.1, "nees": k + 0.2, "beyond2": k + 0.3},
-                            {"rmse": k + 0.4, "nees": k + 0.5, "beyond2": k + 0.6}]}
+    rows = [
+        {
+            "returns": returns, "map": name, "slope": slope, "rmse": k + more,
+            "nees": k + more + 0.1, "beyond2": k + more + 0.2,
+        }
         for k, name in enumerate(("as flights do", "field of Table 6"))
-    }  # fmt: skip
-    report = results.extract_report("real_returns", {"ground": {"heights": heights}}, "")
+        for more in (0.1, 0.4)
+        for returns, slope in (("terrain returns", "all"), ("terrain returns", "over 40"),
+                               ("returns of every class", "all"))
+    ]  # fmt: skip
+    report = results.extract_report("real_returns", {"rows": [*rows, {"test": "safety"}]}, "")
     error, square, share = (
         "RMSE",
         "mean square of error / predicted sigma (ideal 1)",
         "fraction beyond 2",
     )
     told = {f.label: f.values for f in report.figures}
-    assert told == {
+    assert {k: pytest.approx(v) for k, v in told.items()} == {
         f"as flights do: {error}": [0.1, 0.4],
         f"as flights do: {square}": [0.2, 0.5],
         f"as flights do: {share} sigma (ideal 0.046)": [0.3, 0.6],
