@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import re
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -15,46 +12,41 @@ from scipy import ndimage
 from lunarsim.grid import Grid
 from lunarsim.studies import report_study, run_study
 from lunarsim.studies.command import study_command
-from tests.conftest import SCENARIOS
-
-SCRIPT = SCENARIOS / "gaussian_dem" / "tables.py"
 
 
-def run(*arguments: str) -> str:
-    done = subprocess.run(
-        [sys.executable, str(SCRIPT), *arguments], capture_output=True, text=True, check=True
-    )
-    return done.stdout
-
-
-def test_configurations_are_those_of_table_4(tmp_path):
-    out = tmp_path / "table.json"
-    run("--table", "4", "--json", str(out))
-    rows = json.loads(out.read_text())["4"]["rows"]
-    assert rows[3][0] == pytest.approx(100.0, abs=1.1)
-    assert rows[8][2] == pytest.approx(1.611, abs=0.02)
+def test_configurations_are_those_of_table_4(script, capsys):
+    study = script("gaussian_dem", "tables").study
+    rows = run_study(study, count=2, levels={"table": ["4"]})
+    assert len(rows) == 9
+    assert rows[3]["values"][0] == pytest.approx(100.0, abs=1.1)
+    assert rows[8]["values"][2] == pytest.approx(1.611, abs=0.02)
+    report_study(study, rows)
+    assert "scan configurations (ours / paper)" in capsys.readouterr().out
 
 
 @pytest.mark.slow
-def test_table_3_has_no_false_safe_cell(tmp_path):
-    out = tmp_path / "table.json"
-    run("--table", "3", "--json", str(out), "--out", str(tmp_path))
-    rows = json.loads(out.read_text())["3"]["rows"]
+def test_table_3_has_no_false_safe_cell(script, tmp_path):
+    study, options = script("gaussian_dem", "tables").study, {"figures": True}
+    rows = run_study(study, levels={"table": ["3"]}, options=options)
     assert all(row["false_safe"] == 0 for row in rows)
-    recall = [row["recall"][0] for row in rows]
+    recall = [row["recall"] for row in rows]
     assert recall == sorted(recall, reverse=True)
-    assert min(row["bounded"][0] for row in rows if row["c"] <= 0.5) > 0.8
+    assert min(row["bounded"] for row in rows if row["c"] <= 0.5) > 0.8
+    report_study(study, rows, options=options, out=tmp_path)
     assert (tmp_path / "figure_12_conservativeness.png").exists()
 
 
 @pytest.mark.slow
-def test_table_5_beats_the_paper_everywhere(tmp_path):
+def test_table_5_beats_the_paper_everywhere(script, capsys):
     """It is also better than the baseline at the best phase of its grid."""
-    assert len(re.findall(r"yes │ +yes │", run("--table", "5"))) == 9
+    study = script("gaussian_dem", "tables").study
+    report_study(study, run_study(study, levels={"table": ["5"]}))
+    assert len(re.findall(r"yes │ +yes │", capsys.readouterr().out)) == 9
 
 
 def test_unknown_table_is_refused(script):
-    done = CliRunner().invoke(script("gaussian_dem", "tables").main, ["--table", "9"])
+    command = study_command(script("gaussian_dem", "tables").study)
+    done = CliRunner().invoke(command, ["--table", "9"])
     assert done.exit_code == 2
     assert "Traceback" not in done.output
 
@@ -115,15 +107,15 @@ def test_phase_only_moves_the_baseline_cells(script):
 def test_table_6_counts_each_cell_once_per_map(script, monkeypatch):
     computed = script("gaussian_dem", "computed")
     monkeypatch.setattr(computed, "CONFIGURATIONS", [(200.0, 60.0)])
-    result = computed.table_6(1)
+    monkeypatch.setattr(computed, "SCANS", range(1))
+    ((row,), _) = computed.table_6(0)
     one = computed.evaluate_scan(computed.testbed(0), 0, 0)
     seen, truth = one.evaluated, one.truth["roughness"]
     for method, maps in (("proposed", 1), ("baseline", 4)):
-        (curve,) = result["curves"]["roughness", 0, method]
-        assert curve.safe.sum() + curve.unsafe.sum() == maps * seen.sum()
+        assert np.sum(row["counts"][f"{method} roughness"]) == maps * seen.sum()
         called = np.concatenate([p[seen] > 0.5 for p in one.p[method, "roughness"]])
         safe = np.tile(truth[seen], maps)
-        precision, recall = result["at_half"][f"{method} roughness"][0][0]
+        precision, recall = row["at_half"][f"{method} roughness"]
         assert precision == pytest.approx((called & safe).sum() / called.sum())
         assert recall == pytest.approx((called & safe).sum() / safe.sum())
 
