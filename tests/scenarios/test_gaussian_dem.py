@@ -120,21 +120,20 @@ def test_table_6_counts_each_cell_once_per_map(script, monkeypatch):
         assert recall == pytest.approx((called & safe).sum() / safe.sum())
 
 
-def test_unsafe_sites_are_split_by_returns_above_the_limit(script, monkeypatch):
-    study = script("gaussian_dem", "sensitivity")
+def test_unsafe_sites_are_split_by_returns_above_the_limit(script, monkeypatch, capsys):
+    study = script("gaussian_dem", "missed_hazards")
     monkeypatch.setattr(study, "CONFIGURATIONS", [(1000.0, 60.0)])
     own = study.testbed(1)
     monkeypatch.setattr(study, "testbed", lambda seed, **bed: own)
-    (one,) = study.count_missed_sites((0, 1))
-    unsafe = one.quality.false_safe + one.quality.rejected
-    assert one.seen[1] + one.unseen[1] == unsafe
-    assert one.seen[0] + one.unseen[0] == one.quality.false_safe
+    rows = run_study(study.study, count=1, seed=1, levels={"scans": ["as in Table 6"]})
+    (one,) = rows
     # Rocks without a return are more often called safe.
-    assert one.unseen[0] / one.unseen[1] > 3.0 * one.seen[0] / one.seen[1]
+    missed = one["unseen_called_safe"] / one["unseen"]
+    assert missed > 3.0 * one["seen_called_safe"] / one["seen"]
     # The same split by raster distances, accurate to half a cell.
-    setting = {"sigma_f": np.sqrt(study.VARIANTS[0].growth * study.LENGTH)}
     rng = np.random.default_rng([1, 0])
-    scan = study.map_testbed(own, 1000.0, 60.0, rng, length_scale=study.LENGTH, **setting)
+    setting = study.prior_of_growth(study.growth(study.MARGIN))
+    scan = study.map_testbed(own, 1000.0, 60.0, rng, **setting)
     low = np.ones(scan.grid.shape, np.bool_)
     high = scan.points[scan.points[:, 2] > 0.25, :2]
     row, col = scan.grid.cell(high[scan.grid.contains(high)])
@@ -142,27 +141,30 @@ def test_unsafe_sites_are_split_by_returns_above_the_limit(script, monkeypatch):
     safe = study.truth_of(own, scan)["roughness"]
     seen = study.stochastic_safety(scan.dem.mean, scan.dem.variance, scan.grid, study.LANDER)
     judged = seen.observed & own.safety.observed[scan.window] & ~safe
+    assert one["seen"] + one["unseen"] == judged.sum()
+    called = one["seen_called_safe"] + one["unseen_called_safe"]
+    assert called == (seen.p_roughness[judged] > 0.5).sum()
     shown = 0.1 * ndimage.distance_transform_edt(low)[judged] < study.LANDER.leg_radius
-    assert one.seen[1] == pytest.approx(shown.sum(), rel=0.02)
+    assert one["seen"] == pytest.approx(shown.sum(), rel=0.02)
+    report_study(study.study, rows)
+    assert "as in Table 6" in capsys.readouterr().out
 
 
-def test_random_field_is_swept_over_both_tables(script, monkeypatch, tmp_path):
-    study = script("gaussian_dem", "sensitivity")
+def test_random_field_is_swept_over_both_tables(script, tmp_path, capsys):
+    study = script("gaussian_dem", "prior_sweep")
     paper = [
         [p5[1], p5[3], 0.0, p6[1], p6[3], p6[5], p6[7]]
         for p5, p6 in zip(study.PAPER_5, study.PAPER_6, strict=True)
     ]
-    rows = np.tile(paper, (len(study.GROWTHS), 1, 1))
-    rows[3:, 2, study.METRICS.index("nlpd")] += 0.1
-    rows[2, 5, study.METRICS.index("recall slope")] -= 0.1
-    values = {name: rows[:, :, i] for i, name in enumerate(study.METRICS)}
+    found = np.tile(paper, (len(study.GROWTHS), 1, 1))
+    found[3:, 2, study.METRICS.index("nlpd")] += 0.1
+    found[2, 5, study.METRICS.index("recall slope")] -= 0.1
+    values = {name: found[:, :, i] for i, name in enumerate(study.METRICS)}
     count = study.count_scans_as_published(values)
     assert count["NLPD"].tolist() == [9, 9, 9] + [8] * (len(study.GROWTHS) - 3)
     assert count["recall slope"][:4].tolist() == [9, 9, 8, 9]
-    monkeypatch.setattr(study, "sweep_testbed", lambda seed: rows.tolist())
-    arguments = ["--study", "field", "--seeds", "1", "--out", str(tmp_path)]
-    done = CliRunner().invoke(study.main, arguments)
-    assert done.exit_code == 0, done.output
-    assert f"both {study.GROWTHS[2]:.1e} m" in done.output
+    rows = [{"number": 0, **dict(zip(study.METRICS, one, strict=True))}
+            for one in found.reshape(-1, len(study.METRICS))]  # fmt: skip
+    report_study(study.study, rows, out=tmp_path)
+    assert f"both {study.GROWTHS[2]:.1e} m" in capsys.readouterr().out
     assert (tmp_path / "random_field.png").stat().st_size > 20_000
-    assert CliRunner().invoke(study.main, ["--seeds", "0"]).exit_code == 2
