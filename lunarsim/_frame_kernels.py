@@ -36,9 +36,10 @@ def rotation_vector_between(q, target, out):
 
 @kernel()
 def rotate_quaternion(q, phi):
-    """Rotate the unit quaternion `q` in place by a rotation vector.
+    """Rotate the attitude quaternion `q` (4,) in place by a rotation vector.
 
-    `phi` (3,) is the rotation vector in body axes, rad.
+    `q` is scalar last, body to ENU, of unit length. `phi` (3,) is the rotation vector in body axes,
+    rad: the result is q times the quaternion of `phi`.
     """
     angle = np.sqrt(phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2])
     s = 0.5 if angle < 1e-8 else np.sin(0.5 * angle) / angle
@@ -55,7 +56,10 @@ def rotate_quaternion(q, phi):
 
 @kernel()
 def rotate_to_body(q, v, out):
-    """Rotate the ENU vector v into body axes by the unit quaternion q, into `out`."""
+    """Write the ENU vector v (3,) in body axes into `out` (3,).
+
+    `q` is the attitude, a unit quaternion (4,), body to ENU.
+    """
     x, y, z, w = q[0], q[1], q[2], q[3]
     # Inverse rotation: v + 2 u x (u x v - w v), where u is the vector part.
     cx = y * v[2] - z * v[1] - w * v[0]

@@ -38,7 +38,10 @@ def sources_digest(module: str) -> bytes:
 
 
 def linked_modules(module: str) -> frozenset[str]:
-    """Return the names of a module and of all modules whose kernels it can call."""
+    """Return the names of a module and of all modules whose kernels it can call.
+
+    Kernels that are called through other kernels are included.
+    """
     found = {module}
     pending = [module]
     while pending:
@@ -51,7 +54,11 @@ def linked_modules(module: str) -> frozenset[str]:
 
 
 def _module_of(value: Any) -> str:
-    """Return the name of the module that defines an object; of a module, its name."""
+    """Return the name of the module that defines an object.
+
+    For a module this is its own name; for objects other than functions, kernels and classes it is
+    "".
+    """
     if isinstance(value, ModuleType):
         return value.__name__
     value = _function_of(value) or value
@@ -70,7 +77,10 @@ def _function_of(value: Any) -> Any:
 
 @cache
 def _has_kernels(name: str) -> bool:
-    """Return whether a module outside Numba itself defines a kernel or an intrinsic."""
+    """Return whether a module defines a kernel or an intrinsic.
+
+    The result is False for the standard library, Numba, NumPy and SciPy.
+    """
     if name.partition(".")[0] in _FOREIGN:
         return False
     functions = filter(None, map(_function_of, vars(sys.modules[name]).values()))

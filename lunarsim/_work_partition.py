@@ -38,7 +38,10 @@ class PartitionedKernel:
         self._called = False
 
     def __call__(self, *args: Any) -> None:
-        """Run the kernel on all threads; return when the last thread has finished."""
+        """Run the kernel on all threads; return when the last thread has finished.
+
+        The first call compiles the kernel and runs on one thread.
+        """
         # The first call compiles, so further threads would only wait for it.
         shares = numba.get_num_threads() if self._called else 1
         if shares == 1:

@@ -82,9 +82,11 @@ def read_json_with_format(path: Path, field: str, tag: str, hint: str = "") -> d
 
 
 def new_contents_remover(folder: Path) -> Callable[[], None]:
-    """Return a function that removes all files created in a folder after this call.
+    """Return a function that removes files and folders newly created in a folder.
 
-    The function also removes parent folders that were created after this call and are empty.
+    It removes everything directly in `folder` that is not there at the time of this call; files
+    added to existing subfolders stay. It also removes parent folders that were created after this
+    call and are empty.
     """
     above = next(p for p in (folder, *folder.absolute().parents) if p.exists()).absolute()
     before = set(folder.iterdir()) if folder.is_dir() else set()
@@ -102,7 +104,10 @@ def new_contents_remover(folder: Path) -> Callable[[], None]:
 
 @contextmanager
 def remove_contents_on_error(folder: Path) -> Iterator[None]:
-    """Remove the new contents of a folder if a `with` block raises an exception."""
+    """Remove the new contents of a folder if a `with` block raises an exception.
+
+    The new contents are those that `new_contents_remover` removes; the exception is raised again.
+    """
     remove = new_contents_remover(folder)
     try:
         yield

@@ -427,7 +427,8 @@ def _comparison_table(result: Any) -> Table:
 def _extra_propellant(rows: list[dict[str, Any]], first: str | None, other: str) -> str:
     """Return the mean extra propellant of a law over the first law as text, kg.
 
-    The text includes the 95 % interval; `rows` are the result rows of all flights.
+    The text includes the 95 % interval; it is empty if `first` is None, in the row of the first
+    law. `rows` are the result rows of all flights.
     """
     from lunarsim.evaluation.statistics import mean_interval
     from lunarsim.viz.comparison import paired_differences

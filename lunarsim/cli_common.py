@@ -31,13 +31,13 @@ _DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 class IntRange(click.IntRange):
-    """Parse integers within bounds; errors call them "integer", not "integer range"."""
+    """Type of integer options within bounds; errors call it "integer", not a range."""
 
     name = "integer"
 
 
 class FloatRange(click.FloatRange):
-    """Parse numbers within bounds; errors call them "float", not "float range"."""
+    """Type of number options within bounds; errors call it "float", not a range."""
 
     name = "float"
 
@@ -122,7 +122,10 @@ ALLOW_MODULE = click.option(
 
 
 def allow_named_modules(*texts: str | None) -> None:
-    """Allow files to run the modules that the user names as "module:Class"."""
+    """Allow files to run the modules that the user names as "module:Class".
+
+    The permission ends with the current command. Texts without such a name, and None, are ignored.
+    """
     from lunarsim.parts.module_permission import find_module_names, modules_allowed
 
     click.get_current_context().with_resource(modules_allowed(find_module_names(texts)))
@@ -150,7 +153,10 @@ def cache_options(command: F) -> F:
 
 
 def open_cache(folder: Path | None, gigabytes: float) -> DiskCache | None:
-    """Return the cache of true terrain maps in a folder, or None if disabled (size 0)."""
+    """Return the cache of true terrain maps in a folder, or None if disabled (size 0).
+
+    If `folder` is None, the default folder is used. `gigabytes` is the maximum size, GiB.
+    """
     from lunarsim.campaign.cache import default_cache_folder, open_cache
 
     if not math.isfinite(gigabytes):

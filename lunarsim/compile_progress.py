@@ -67,7 +67,10 @@ def report_compilation(helper_command: Sequence[str] = ()) -> Iterator[None]:
             self.seconds = self.begun = self.last = 0.0
 
         def on_start(self, event: Any) -> None:
-            """Count a compilation; at the first one, print a message and start the helper."""
+            """Note the start of a compilation; at the first one, print and start the helper.
+
+            The helper is the second process, and the printed text is a message to the user.
+            """
             self.depth += 1
             if self.depth > 1:
                 return
@@ -78,7 +81,7 @@ def report_compilation(helper_command: Sequence[str] = ()) -> Iterator[None]:
                 helper.start()
 
         def on_end(self, event: Any) -> None:
-            """Count the end of a compilation; print the progress if enough time has passed."""
+            """Count a finished compilation; print the progress if enough time has passed."""
             self.depth -= 1
             self.count += 1
             if self.depth:

@@ -33,8 +33,7 @@ def load_scenario(scenario: Scenario | str | Path) -> Scenario:
     ----------
     scenario
         Name of a scenario supplied with lunarsim (`lunarsim scenario list`), path of a TOML file,
-        or a
-        `Scenario`.
+        or a `Scenario`.
 
     Raises
     ------

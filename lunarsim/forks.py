@@ -13,9 +13,9 @@ _state = {"is_unsafe": False}
 
 
 def watch_forks() -> None:
-    """Register a check at every process fork for inherited OpenMP threads.
+    """Register a check that runs in every child process right after a fork.
 
-    `check` then raises an error in such a child process.
+    If the child inherits OpenMP threads, `check` raises an error in it later.
     """
     os.register_at_fork(after_in_child=_mark_if_openmp_runs)
 

@@ -24,9 +24,10 @@ def user_cache(name: str) -> Path:
 def ensure_caches() -> None:
     """Select a temporary cache folder if the user's cache folder is not writable.
 
-    The selection is stored in environment variables, so that other libraries and processes started
-    later use it too. Matplotlib needs a folder for its
-    configuration as well. A ``~`` that no shell has expanded is expanded here.
+    A warning is printed then, and also if no folder can be created. The selection is stored in
+    environment variables, so that other libraries and processes started later use it too.
+    Matplotlib needs a folder for its configuration as well. A ``~`` that no shell has expanded is
+    expanded here.
     """
     for variable in ("XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR"):
         given = os.environ.get(variable, "")
@@ -100,7 +101,8 @@ def _xdg_folder(variable: str, below_home: str) -> Path:
 def _temporary_folder() -> Path:
     """Create a temporary cache folder for this user only and return its path.
 
-    All processes of the user share the folder, unless its owner or its permissions are not trusted.
+    All processes of the user share the folder. If a folder of its name exists with another owner,
+    or with access for other users, a new folder is created for this process.
     """
     import stat  # noqa: PLC0415  (seldom needed)
     import tempfile  # noqa: PLC0415

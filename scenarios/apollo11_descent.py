@@ -91,9 +91,10 @@ def with_pilot(scenario: Scenario, **pilot: float) -> Scenario:
 
 
 def fly(name: str, scenario: Scenario, seed: int) -> ApolloDescentRun:
-    """Simulate one descent and compare it with the flight record of Apollo 11.
+    """Simulate one descent without diverts; compare it with the Apollo 11 record.
 
-    `name` is the name of the run in the table.
+    `name` is the name of the run in the table. The results also have the terrain heights, the
+    visibility of the site and the computing speed.
     """
     start_time = time.process_time()
     sim = Simulation(scenario, seed, "no-divert")
@@ -261,7 +262,6 @@ def _hover(run: ApolloDescentRun) -> str:
 )
 @click.option(
     "--terrain",
-    "ground",
     type=click.Choice(["random", "measured"]),
     default="random",
     show_default=True,
@@ -280,7 +280,7 @@ def _hover(run: ApolloDescentRun) -> str:
 )
 @click.option(
     "--json",
-    "file",
+    "json_file",
     type=click.Path(path_type=Path),
     help="JSON file for the results of all runs. Default: none.",
 )

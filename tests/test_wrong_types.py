@@ -9,10 +9,8 @@ from lunarsim.errors import InputError, check_types
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.hazards.shadows import HazardPrior, TrackerSettings
 from lunarsim.onboard.perception.detection_rates import DetectionRates
-from lunarsim.onboard.perception.detector import DetectorSettings
 from lunarsim.onboard.perception.image_quality import (
     ImageQualityCheck,
-    ImageQualitySettings,
     ImageRejection,
 )
 from lunarsim.onboard.perception.shadow_model import ShadowModel
@@ -47,11 +45,6 @@ NAN = float("nan")
         (Light, "elevation", [True]),
         (Light, "scattered_light", ["no", None]),
         (Light, "photometry", [["hapke"], 3]),
-        (ImageQualitySettings, "contradict_agreement", [5.0, "x"]),
-        (ImageQualitySettings, "confirm_angle", [20.0, None]),
-        (ImageQualitySettings, "contradict_angle", [0.01]),
-        (ImageQualitySettings, "min_shadows", [2.5]),
-        (DetectorSettings, "gamma", ["a", None, -1.0]),
         (TrackerSettings, "few", ["a", 2.5, -1]),
         (TrackerSettings, "min_landmark_radius", ["a", NAN]),
         (DetectionRates, "missed", ["abc", (1.0, None, 0.1)]),

@@ -456,7 +456,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     def _after_cycle(self) -> None:
         """Add the current state to the drawn path; store or show a frame if one is due.
 
-        The flight calls this function after each control cycle.
+        The full simulation calls this function after each control cycle, kernels after each
+        decision.
         """
         if self._picture is not None:
             self._picture.note()

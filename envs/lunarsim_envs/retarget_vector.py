@@ -131,7 +131,10 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return lanes.y[:, 13], lanes.candidates.here[:, 0], lanes.maps.p, lanes.maps.seen
 
     def _shrink(self, mask: BoolArray) -> None:
-        """Downsample the hazard maps of environments `mask` (n,), if they are observed."""
+        """Downsample the hazard maps of the environments of `mask` (n,) for observations.
+
+        Nothing is done if the observation does not have the component ``hazard_map``.
+        """
         if mask.any() and any(part.name == "hazard_map" for part in self.shown.parts):
             maps = self.lanes.maps
             self._small[mask] = downsample_maps(maps.p[mask], maps.seen[mask])
@@ -162,7 +165,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return values | {f"_{name}": every for name in values}
 
     def step(self, actions: ArrayLike) -> tuple[Shown, Array, BoolArray, BoolArray, dict[str, Any]]:
-        """Apply site decisions in all environments and fly to their next decisions."""
+        """Apply site decisions in all environments; fly to the next decisions or the end."""
         lanes = self.lanes
         chosen = self.actions.checked_batch_choices(actions, self.num_envs)
         moved = self._open.copy()

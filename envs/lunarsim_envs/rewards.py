@@ -136,7 +136,8 @@ class SiteRewards:
     ) -> Array:
         """Return `map_information` of all flights (n,), updated where `changed` is true.
 
-        `p` and `seen` are the maps of p_safe and of observed cells (n, rows, cols).
+        `p` and `seen` are the maps of p_safe and of observed cells (n, rows, cols). If the weight
+        of the term ``information`` is zero, the stored values are returned.
         """
         known = self._known.copy()
         if self.weights.information > 0.0:
@@ -183,8 +184,8 @@ class SiteRewards:
         Parameters
         ----------
         moved, invalid
-            Flights that moved since the last decision (others get 0), and flights whose chosen site
-            was not available (n,).
+            Flights that were in progress at the last decision (others get 0), and flights whose
+            chosen site was not available (n,).
         over, safe
             Flights that have ended, and flights that landed safely (n,).
         touchdown_ratios

@@ -31,7 +31,10 @@ class StepLimit:
         self._steps[mask] = 0
 
     def reached(self, moved: BoolArray) -> BoolArray:
-        """Count a step where `moved` (n,) is true; return which are at the limit (n,)."""
+        """Count one step of some environments; return which of them reach the limit (n,).
+
+        `moved` (n,) marks the environments that have stepped; the result is false for others.
+        """
         self._steps[moved] += 1
         if self.most is None:
             return np.zeros_like(moved)

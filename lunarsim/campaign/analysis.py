@@ -84,7 +84,10 @@ def metrics(results: Results, *kinds: str) -> list[str]:
 
 
 def arm_rows(results: Results) -> dict[str, BoolArray]:
-    """Return a boolean mask of the result rows that belong to each arm, by arm name."""
+    """Return a boolean mask of the result rows that belong to each arm, by arm name.
+
+    An arm is a variant of the scenario.
+    """
     names = results.table["arm"]
     return {arm: pc.equal(names, arm).to_numpy(zero_copy_only=False) for arm in results.arms}
 
@@ -92,7 +95,8 @@ def arm_rows(results: Results) -> dict[str, BoolArray]:
 def compute_arm_statistics(results: Results) -> list[ArmStatistics]:
     """Compute fractions, means, quantiles and landing ellipse of every arm.
 
-    Flights without a landing outcome enter only the count `rows`.
+    An arm is a variant of the scenario. Flights without a landing outcome enter only the count
+    `rows`.
 
     Raises
     ------
@@ -146,7 +150,8 @@ def _ellipse(results: Results, rows: BoolArray) -> Ellipse | None:
 def arm_pairs(arms: Sequence[str]) -> list[tuple[str, str]]:
     """Return the pairs of arm names to compare.
 
-    These are all pairs of up to 8 arms; of more arms, each arm is paired with the first.
+    An arm is a variant of the scenario. Up to 8 arms give all pairs; of more arms, each one is
+    paired with the first.
     """
     if len(arms) <= _MAX_ALL_PAIRS:
         return list(combinations(arms, 2))
@@ -154,9 +159,11 @@ def arm_pairs(arms: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def differences(results: Results, metric: str = "safe") -> list[Difference]:
-    """Compute the difference of a metric between each pair of arms, paired by flight.
+    """Compute the difference of a metric between pairs of arms, paired by flight.
 
-    The p-values have Holm's correction for the number of pairs.
+    An arm is a variant of the scenario. The pairs are all pairs of up to 8 arms, otherwise each arm
+    with the first. The p-values have Holm's correction for the number of
+    pairs.
 
     Raises
     ------
@@ -195,6 +202,8 @@ def differences(results: Results, metric: str = "safe") -> list[Difference]:
 class ArmComparison:
     """Result of comparing an arm of a second campaign with the same arm of a first.
 
+    An arm is a variant of the scenario.
+
     Attributes
     ----------
     difference
@@ -215,6 +224,8 @@ def compare_campaigns(
     first: Results, second: Results, margin: float, metric: str = "safe"
 ) -> list[ArmComparison]:
     """Compare two campaigns over the same flights, arm by arm.
+
+    An arm is a variant of the scenario.
 
     Parameters
     ----------
@@ -290,7 +301,7 @@ def _shared_value(results: Results, name: str) -> object:
 def _by_flight(results: Results, arm: str, metric: str) -> dict[int, bool]:
     """Return a boolean metric of one arm by flight index.
 
-    The metric of a flight without a landing outcome is False.
+    An arm is a variant of the scenario. The metric of a flight without a landing outcome is False.
     """
     mine = pc.equal(results.table["arm"], arm).to_numpy(zero_copy_only=False)
     rows = results.table.filter(pa.array(mine & results.independent))

@@ -20,10 +20,10 @@ _HEADINGS = (
 def _comparisons_by_domain(
     result: CalibrationResult,
 ) -> tuple[tuple[str, CalibrationComparison], ...]:
-    """Return name and comparison for the domains of both calibrations.
+    """Return the comparison of two calibrations on the domain of each, with its name.
 
     The calibrations are the one supplied with lunarsim ("packaged") and the refit. In each of the
-    two domains, both are compared on the same sites.
+    two domains, they are compared on the same sites.
     """
     return (
         ("packaged", result.left_out.packaged_domain),
@@ -80,7 +80,11 @@ def _with_interval(values: Array, form: str = "{:.4f}") -> str:
 
 
 def calibration_remarks(result: CalibrationResult) -> Iterator[str]:
-    """Yield sentences that state whether the refit is better, and its coefficients."""
+    """Yield sentences on the quality and the coefficients of a refitted calibration.
+
+    They state for each domain whether the refit is better than the calibration supplied with
+    lunarsim.
+    """
     left = result.left_out.refit_domain
     for name, comparison in _comparisons_by_domain(result):
         gain = comparison.gain

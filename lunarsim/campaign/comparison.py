@@ -83,7 +83,8 @@ class CompareResult:
     def shown(self) -> list[dict[str, Any]]:
         """Result rows with the name that tables and plots use in the column `policy`.
 
-        If guidance laws are compared, this is the name of the arm, a pair of policy and law.
+        An arm is a variant of the scenario. If guidance laws are compared, this is the name of the
+        arm, a pair of policy and law.
         """
         return [row | {"policy": row["arm"]} for row in self.rows] if self.by_law else self.rows
 
@@ -233,7 +234,10 @@ def _comparison_spec(
     figures: bool,
     guidance: Sequence[str] = (),
 ) -> CampaignSpec:
-    """Return a campaign with one arm for each combination of policy and guidance law."""
+    """Return a campaign with one arm for each combination of policy and guidance law.
+
+    An arm is a variant of the scenario.
+    """
     arms = []
     for policy, law in itertools.product(policies, guidance or (None,)):
         name = policy_name(policy)

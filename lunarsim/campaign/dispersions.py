@@ -340,8 +340,8 @@ class Dispersions:
     correlations
         Groups of correlated keys; a key is in at most one group.
     method, seed, flights
-        Sampling method; root seed; number of flights, which only designs use (with method subset:
-        flights per level).
+        Sampling method; root seed; number of flights, used only by methods that draw all flights
+        together (Latin hypercube, Sobol, Saltelli; with method subset: flights per level).
     importance, subset
         Settings of the method of the same name; None with any other method.
     """
@@ -399,7 +399,10 @@ class Dispersions:
                         )
 
     def _check_table(self, name: str, is_given: bool) -> None:
-        """Raise InputError unless the table of the method `name` is given exactly with it."""
+        """Check that the table of a sampling method is given if and only if it is used.
+
+        `name` is the method and its table. Otherwise an `InputError` is raised.
+        """
         if (self.method == name) == is_given:
             return
         problem = (

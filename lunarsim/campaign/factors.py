@@ -47,7 +47,9 @@ class Arm:
 
 
 def flatten_keys(table: Any, path: str, value_types: type | tuple[type, ...]) -> dict[str, Any]:
-    """Flatten a table whose keys may be dotted, nested or both into dotted keys.
+    """Flatten a table to one level, whose keys are dotted.
+
+    Keys of the table may be dotted, or nested tables, which may have dotted keys.
 
     Parameters
     ----------
@@ -230,7 +232,10 @@ def group_arms_by_terrain(arms: Sequence[Arm]) -> tuple[tuple[int, ...], ...]:
 
 
 def folder_name(arm: str) -> str:
-    """Replace characters of an arm's name that folder names do not allow."""
+    """Replace characters of an arm's name that folder names do not allow.
+
+    An arm is a variant of the scenario.
+    """
     kept = "".join(c if c.isalnum() or c in "-_.=, " else "_" for c in arm).strip(". ")
     return kept or "arm"
 

@@ -130,7 +130,7 @@ def _draw_kinds(distributions: Mapping[str, Any]) -> dict[str, str]:
 def check_first_flights(spec: CampaignSpec) -> None:
     """Check that the first flight of every arm of a campaign can be set up.
 
-    The flights are not flown.
+    An arm is a variant of the scenario. The flights are not flown.
 
     Raises
     ------
@@ -151,7 +151,8 @@ def check_first_flights(spec: CampaignSpec) -> None:
 def check_files(spec: CampaignSpec) -> None:
     """Check the terrain files of all arms of a campaign by reading them.
 
-    This includes files that a random choice of a terrain value may select.
+    An arm is a variant of the scenario. This includes files that a random choice of a terrain value
+    may select.
 
     Raises
     ------
@@ -189,6 +190,8 @@ def _by_full_key(values: Any, prefix: str = "") -> dict[str, Any]:
 def fly(study: FlightSettings, group: Group, arm: int, memory: dict[Any, Any]) -> dict[str, Any]:
     """Fly one flight of a campaign under one arm; return its metrics by name.
 
+    An arm is a variant of the scenario.
+
     Parameters
     ----------
     study
@@ -196,7 +199,8 @@ def fly(study: FlightSettings, group: Group, arm: int, memory: dict[Any, Any]) -
     group, arm
         Group of the flight; index of the arm.
     memory
-        Worlds and their true landing safety that the group has computed so far; extended here.
+        Worlds, their true landing safety and shared parts of flights that the group has computed so
+        far; extended here.
 
     Raises
     ------
@@ -224,7 +228,7 @@ def fly_with_simulation(
 ) -> tuple[Flight, Simulation, dict[str, Any]]:
     """Fly one flight under one arm; return record, simulation and metrics.
 
-    No file is written. The parameters are those of `fly`.
+    An arm is a variant of the scenario. No file is written. The parameters are those of `fly`.
     """
     draws = {k: value for k, value in group.draws.items() if k not in (WEIGHT, *_SUBSET_COLUMNS)}
     scenario = with_values(study.arms[arm].scenario, draws, "dispersions")
@@ -254,7 +258,8 @@ def _same_path_scenarios(
 ) -> dict[int, Scenario]:
     """Return the scenarios of other arms of a group that differ only in policy.
 
-    `draws` are the random values of the flight by key.
+    An arm is a variant of the scenario. The result is by index of the arm; an arm that refuses the
+    random values is omitted. `draws` are the random values of the flight by key.
     """
     found = {}
     for i in group.arms if study.paths else ():
@@ -267,7 +272,8 @@ def _same_path_scenarios(
 def _save_record(study: FlightSettings, index: int, arm: str, flight: Flight, safe: bool) -> None:
     """Write the complete record of a flight atomically, if the campaign keeps it.
 
-    `index` is the index of the flight, `arm` the name of its arm, and `safe` its outcome.
+    An arm is a variant of the scenario. `index` is the index of the flight, `arm` the name of its
+    arm, and `safe` its outcome.
     """
     if study.out is None or study.records == "none" or (study.records == "failures" and safe):
         return

@@ -24,8 +24,8 @@ def compile_kernels(
 
     These are the arms whose components no campaign on this machine has flown yet.
 
-    The results are discarded; the compiled kernels stay in Numba's cache beside the package. A
-    mark in the cache makes later calls return immediately.
+    The results are discarded; the compiled kernels stay in Numba's cache beside the package. A mark
+    in the cache makes later calls return immediately. An arm is a variant of the scenario.
 
     Parameters
     ----------

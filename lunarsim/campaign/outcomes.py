@@ -91,7 +91,7 @@ def attempt(function: Any, work: Work, group: Group, arm: int, memory: dict[Any,
     `function` is the function of `work`, `arm` the index of an arm in `group`, and `memory` a
     dictionary that persists within the group.
 
-    A `KeyboardInterrupt` is raised again.
+    A `KeyboardInterrupt` is raised again. An arm is a variant of the scenario.
     """
     began = time.perf_counter()
     metrics, error, trace = None, "", ""

@@ -15,13 +15,18 @@ KINDS = ("bool", "int", "float", "text")
 
 
 def row_id(flight: int, arm: int) -> str:
-    """Return the id of a result row: indices of flight and arm, for instance ``12-0``."""
+    """Return the id of a result row: indices of flight and arm, for instance ``12-0``.
+
+    An arm is a variant of the scenario.
+    """
     return f"{flight}-{arm}"
 
 
 @dataclass(frozen=True)
 class Group:
     """One flight index under several arms over the same terrain, flown by one worker.
+
+    An arm is a variant of the scenario.
 
     Attributes
     ----------
@@ -65,14 +70,18 @@ class DependentFlights(Protocol):
     flights
         Number of flights of the first level, which depend on no others.
     stop
-        Number of flights of the complete campaign, once it is known.
+        Number of flights of the complete campaign; None until it is known.
     """
 
     flights: int
     stop: int | None
 
     def resume(self, rows: Iterable[Mapping[str, Any]]) -> list[int]:
-        """Add existing result rows; return flights that do not follow from earlier ones."""
+        """Start again from existing result rows; return the flights that do not fit.
+
+        The result has flight indices. A flight does not fit if a predecessor is missing, or if its
+        values do not follow from its predecessors; its row is not added.
+        """
         ...
 
     def add(self, flight: int, row: Mapping[str, Any]) -> None:
@@ -82,7 +91,8 @@ class DependentFlights(Protocol):
     def groups(self, has_result: Callable[[int, int], bool]) -> Iterator[Group | None]:
         """Yield groups that can start; None while all others wait for running flights.
 
-        `has_result` returns whether the result of a flight under an arm, given by indices, exists.
+        An arm is a variant of the scenario. `has_result` returns whether the result of a flight
+        under an arm, given by indices, exists.
         """
         ...
 
@@ -127,13 +137,17 @@ class Plan:
     chains: DependentFlights | None = None
 
     def inputs_of(self, flight: int, arm: int) -> dict[str, Any]:
-        """Return the scenario values that an arm sets and a flight draws, by key."""
+        """Return the scenario values that an arm sets and a flight draws, by key.
+
+        An arm is a variant of the scenario.
+        """
         return {**self.arms[arm][1], **self.draws(flight)}
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """Yield the inputs of every flight: id, flight, arm, seed and values.
 
-        With method subset, only flights of the first level are known in advance.
+        An arm is a variant of the scenario. With method subset, only flights of the first level are
+        known in advance.
         """
         for flight in range(self.flights if self.chains is None else self.chains.flights):
             drawn = self.draws(flight)

@@ -15,7 +15,8 @@ from lunarsim.campaign.rows import schema_of, to_cell
 def write_plan(plan: Plan, path: Path, suffix: str) -> None:
     """Write the inputs of every flight of a campaign to a CSV or Parquet file.
 
-    The file has one row per flight and arm: id, flight, arm, seed and inputs.
+    An arm is a variant of the scenario. The file has one row per flight and arm: id, flight, arm,
+    seed and inputs.
 
     Parameters
     ----------

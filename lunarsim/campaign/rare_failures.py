@@ -69,6 +69,8 @@ def estimate_failure_shares(
 ) -> list[RareFailureEstimate]:
     """Estimate the probability of failure of every arm from weighted flights.
 
+    An arm is a variant of the scenario.
+
     Parameters
     ----------
     results

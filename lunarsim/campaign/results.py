@@ -56,12 +56,18 @@ class Results:
 
     @property
     def arms(self) -> list[str]:
-        """Names of the arms, in the order of the spec."""
+        """Names of the arms, in the order of the spec.
+
+        An arm is a variant of the scenario.
+        """
         return [arm["name"] for arm in self.manifest["arms"]]
 
     @property
     def expected_rows(self) -> int:
-        """Number of result rows of the complete campaign: flights times arms."""
+        """Number of result rows of the complete campaign: flights times arms.
+
+        An arm is a variant of the scenario.
+        """
         return int(self.manifest["flights"]) * len(self.arms)
 
     @property
@@ -198,7 +204,8 @@ def _read_parts(
 def _verified_bytes(folder: Path, path: Path, manifest: dict[str, Any]) -> bytes:
     """Return the bytes of a result file, whose digest must match the manifest.
 
-    After a mismatch both files are read again, because a running campaign may be changing them.
+    After a mismatch, the file and the manifest are read again, because a running campaign may be
+    changing them; after three mismatches a ValueError is raised.
     """
     name = str(path.relative_to(folder))
     for _ in range(_READ_ATTEMPTS):
@@ -333,7 +340,10 @@ def export(folder: str | Path, out: Path, *, timing: bool = False) -> int:
 
 
 def failures(results: Results) -> list[tuple[str, str, int]]:
-    """Count the causes of unsafe landings and errors: arm, cause, number of flights."""
+    """Count the causes of unsafe landings and errors: arm, cause, number of flights.
+
+    An arm is a variant of the scenario.
+    """
     counts: Counter[tuple[str, str]] = Counter()
     table = results.table
     whys = table["failure_causes"] if "failure_causes" in table.column_names else table["error"]

@@ -70,7 +70,7 @@ class StopRequest:
     def on_signals(self, engine: Engine) -> Iterator[None]:
         """Set the flag on SIGINT and SIGTERM; a second signal raises `KeyboardInterrupt`.
 
-        Nothing is set up for an engine that does not poll the flag.
+        Nothing is set up for an engine that does not poll the flag, or outside the main thread.
         """
         if threading.current_thread() is not threading.main_thread() or not engine.polls_halt:
             yield
@@ -220,7 +220,7 @@ def _fly_groups(
 def _missing_groups(plan: Plan, store: Store) -> Iterator[Group | None]:
     """Yield the groups of flights without a stored result, in order.
 
-    None means that all others wait for running flights.
+    With method subset, None means that all other groups wait for running flights.
     """
     if plan.chains is not None:
         yield from plan.chains.groups(store.has)

@@ -37,6 +37,8 @@ _PAWN_BINS = 10
 class Sensitivity:
     """Sensitivity of a metric to the random scenario values, in one arm.
 
+    An arm is a variant of the scenario.
+
     Attributes
     ----------
     arm, metric, method
@@ -77,6 +79,8 @@ def sensitivities(
     results: Results, metric: str = "safe", resamples: int = 100
 ) -> list[Sensitivity]:
     """Compute the sensitivity of a metric to the dispersed values, in every arm.
+
+    An arm is a variant of the scenario.
 
     Parameters
     ----------
@@ -126,7 +130,8 @@ def _sobol(
 ) -> Sensitivity:  # fmt: skip
     """Compute Sobol indices of one arm from the complete blocks of a Saltelli design.
 
-    `flights` and `values` (n,) are flight indices and metric; `keys` are the dispersed keys.
+    An arm is a variant of the scenario. `flights` and `values` (n,) are flight indices and metric;
+    `keys` are the dispersed keys.
     """
     from SALib.analyze import sobol  # noqa: PLC0415
 
@@ -161,7 +166,8 @@ def _pawn(
 ) -> Sensitivity:  # fmt: skip
     """Compute PAWN indices of one arm, bootstrap intervals, and the value by chance.
 
-    `inputs` (n, keys) are the dispersed values, and `values` (n,) the metric of each flight.
+    An arm is a variant of the scenario. `inputs` (n, keys) are the dispersed values, and `values`
+    (n,) the metric of each flight.
     """
     good = np.isfinite(values) & np.isfinite(inputs).all(axis=1)
     inputs, y = inputs[good], values[good]

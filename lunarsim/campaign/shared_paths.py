@@ -27,6 +27,8 @@ from lunarsim.simulation.loop import make_policy
 class Branch:
     """Moment of a flight up to which several arms share the flight path.
 
+    An arm is a variant of the scenario.
+
     Attributes
     ----------
     state
@@ -43,7 +45,8 @@ class Branch:
 def shared_path_classes(arms: Sequence[Arm]) -> tuple[int, ...]:
     """Return a class number for each arm, equal for arms that can share a path.
 
-    These arms differ only in policy. Each other arm has a separate class.
+    An arm is a variant of the scenario. Arms can share a flight path if they differ only in policy,
+    and the policy is one of lunarsim. Each other arm has a separate class.
     """
     seen: dict[str, int] = {}
     found = []
@@ -56,8 +59,8 @@ def shared_path_classes(arms: Sequence[Arm]) -> tuple[int, ...]:
 def _scenario_without_policy(arm: Arm) -> str | None:
     """Return an arm's scenario without its policy as text, to compare arms.
 
-    Return None if the policy is not one of lunarsim. Random values need no comparison, because they
-    are the same for all arms of a flight.
+    An arm is a variant of the scenario. Return None if the policy is not one of lunarsim. Random
+    values need no comparison, because they are the same for all arms of a flight.
     """
     if arm.policy is not None or not _has_packaged_policy(arm.scenario):
         return None
@@ -78,7 +81,9 @@ def fly_on_shared_path(
 ) -> Simulation:
     """Fly one arm to the end, from where its path leaves that of earlier arms.
 
-    Return the finished simulation.
+    An arm is a variant of the scenario. Arms that differ only in policy share a path until their
+    decisions differ. If `branches` has a branch of the arm, its flight resumes there, or the branch
+    is the finished flight; otherwise it is flown from the start. Return the finished simulation.
 
     Parameters
     ----------
@@ -118,7 +123,9 @@ def _fly(
 ) -> None:
     """Fly an arm to its end; store a branch for each arm whose decision differs.
 
-    These arms are removed from `others`. `policies` has the policy of each arm, by index.
+    An arm is a variant of the scenario; a branch is the point of the flight from which another arm
+    resumes. `others` are the arms that still share the path: those that get a branch are removed
+    from it. `policies` has the policy of each arm, by index.
     """
     while not simulation.done:
         if simulation.decision_due:
@@ -139,8 +146,10 @@ def _store_branches(
 ) -> None:
     """Store a branch for arms whose decision differs from that of the flown arm.
 
-    Arms with equal decisions share a branch. `decisions` has the decisions by index of the
-    arm, and is emptied; `branches` receives the branch of each arm.
+    An arm is a variant of the scenario; a branch is the point of the flight from which it resumes.
+    Arms with equal decisions share a branch. `decisions` has the decisions by index of the arm, and
+    is emptied; `branches` receives the branch of each arm. If the simulation cannot be copied,
+    nothing is stored, and these arms are flown from the start.
     """
     if not decisions:
         return

@@ -246,7 +246,10 @@ class CampaignSpec:
 
     @property
     def max_flights(self) -> int:
-        """Maximum number of flights of each arm; with method subset, of all levels."""
+        """Maximum number of flights of each arm; with method subset, of all levels.
+
+        An arm is a variant of the scenario.
+        """
         subset, count = self.dispersions.subset, self.head.flights
         if subset is None:
             return count
@@ -255,14 +258,14 @@ class CampaignSpec:
     def scenario_of(self, flight: int, arm: int) -> Scenario:
         """Return the scenario of a flight: the arm's scenario with its random values.
 
-        `flight` and `arm` are indices.
+        An arm is a variant of the scenario. `flight` and `arm` are indices.
         """
         return with_values(self.arms[arm].scenario, self.dispersions.draws(flight), "dispersions")
 
     def check_draws(self) -> None:
         """Check that every arm accepts the extreme random values of each scenario key.
 
-        The extremes of the first thousand flights are checked.
+        An arm is a variant of the scenario. The extremes of the first thousand flights are checked.
 
         Raises
         ------
@@ -514,7 +517,10 @@ def _keys(head: CampaignSettings) -> dict[str, Any]:
 
 
 def _arm_values(arm: Arm) -> dict[str, Any]:
-    """Return the scenario values that an arm sets, with the `repr` of a policy object."""
+    """Return the scenario values that an arm sets, with the `repr` of a policy object.
+
+    An arm is a variant of the scenario.
+    """
     values: dict[str, Any] = _plain(arm.values)
     return values if arm.policy is None else values | {"policy object": repr(arm.policy)}
 
@@ -548,8 +554,8 @@ def _overlap(a: tuple[str, ...], b: tuple[str, ...]) -> bool:
 def _check_no_overlap(keys: Iterable[str], values: Mapping[str, Sequence[Any]], field: str) -> None:
     """Raise `InputError` if one scenario key contains another, for instance its table.
 
-    The result would depend on the order in which both are set. `values` has the values of the keys,
-    and `field` is the field name for errors.
+    The result would depend on the order in which the two keys are set. `values` has the values of
+    the keys, and `field` is the field name for errors.
     """
     for a, b in itertools.combinations(keys, 2):
         if _overlap(_key_path(a, values.get(a, [0.0])), _key_path(b, values.get(b, [0.0]))):

@@ -27,7 +27,7 @@ class IntervalWidthRule:
     Attributes
     ----------
     stop
-        Number of flights to keep, once it is known.
+        Number of flights to keep; None until the rule is satisfied.
     """
 
     def __init__(self, metric: str, width: float, arms: int) -> None:
@@ -40,7 +40,8 @@ class IntervalWidthRule:
     def add(self, flight: int, arm: int, row: Mapping[str, Any]) -> None:
         """Add the result row of a flight, given by the indices of flight and arm.
 
-        Flights may be added in any order. `stop` is set once the rule is satisfied.
+        An arm is a variant of the scenario. Flights may be added in any order. `stop` is set once
+        the rule is satisfied.
         """
         if self.stop is not None:
             return

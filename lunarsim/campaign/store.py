@@ -149,7 +149,10 @@ class Store:
             self._full.add(number)
 
     def _read_part(self, path: Path) -> dict[tuple[int, int], Row]:
-        """Return results and times in a Parquet part, by indices of flight and arm."""
+        """Return results and times in a Parquet part, by indices of flight and arm.
+
+        An arm is a variant of the scenario.
+        """
         table = pq.read_table(self._read("results", path.name), page_checksum_verification=True)
         if table.schema != self._schema:
             raise pa.ArrowInvalid("unexpected columns")
@@ -233,7 +236,10 @@ class Store:
     # --- what is there --------------------------------------------------------------------
 
     def has(self, flight: int, arm: int) -> bool:
-        """Return whether the result of a flight under an arm, given by indices, is stored."""
+        """Return whether the result of a flight under an arm, given by indices, is stored.
+
+        An arm is a variant of the scenario.
+        """
         part = self._part(flight)
         return part in self._full or (flight, arm) in self._open.get(part, {})
 
@@ -244,7 +250,10 @@ class Store:
         return full + sum(map(len, self._open.values()))
 
     def rows(self) -> Iterator[dict[str, Any]]:
-        """Yield all result rows as dictionaries, sorted by flight, then arm."""
+        """Yield all result rows as dictionaries, sorted by flight, then arm.
+
+        An arm is a variant of the scenario.
+        """
         for part in sorted(self._full | set(self._open)):
             if part in self._full:
                 yield from pq.read_table(self._path("results", part)).to_pylist()
@@ -333,7 +342,10 @@ class Store:
             self._open[part] = {k: row for k, row in self._open[part].items() if k[0] < flights}
 
     def delete_rows(self, rows: Set[tuple[int, int]]) -> None:
-        """Delete results, given by pairs of flight and arm index, from memory and disk."""
+        """Delete results, given by pairs of flight and arm index, from memory and disk.
+
+        An arm is a variant of the scenario.
+        """
         for part in sorted(self._full | set(self._open)):
             first, last = self._flights(part).start, self._flights(part).stop
             gone = {(flight, arm) for flight, arm in rows if first <= flight < last}

@@ -86,7 +86,7 @@ class SubsetChains:
     levels
         Complete levels.
     stop
-        Number of flights of the complete campaign, once it is known.
+        Number of flights of the complete campaign; None until it is known.
     is_stalled
         Whether the campaign ended because too many flights of a level had equal margins.
     """
@@ -241,8 +241,9 @@ class SubsetChains:
     def resume(self, rows: Iterable[Row]) -> list[int]:
         """Start again from stored results; return the flights that do not fit.
 
-        A flight does not fit if a predecessor is missing, or if its values do not follow from its
-        predecessors. `rows` are the result rows of the campaign's only arm, sorted by flight.
+        An arm is a variant of the scenario. A flight does not fit if a predecessor is missing, or
+        if its values do not follow from its predecessors. `rows` are the result rows of the
+        campaign's only arm, sorted by flight.
         """
         self.reset()
         orphans: list[int] = []
@@ -272,8 +273,9 @@ class SubsetChains:
     def groups(self, has_result: Callable[[int, int], bool]) -> Iterator[Group | None]:
         """Yield flights that can start and have no result yet.
 
-        Yield None while all wait for running flights. `has_result` returns whether the result of a
-        flight under an arm, given by indices, is stored.
+        An arm is a variant of the scenario. Yield None while all wait for running flights.
+        `has_result` returns whether the result of a flight under an arm, given by indices, is
+        stored.
         """
         while self.stop is None:
             if not self._waiting:

@@ -19,28 +19,33 @@ from lunarsim._simd import SIMD_WIDTH, lane_max, load, store
 _DISTANCE_WEIGHT = np.float32(1e-3 / 100.0)
 # Score of excluded cells.
 NOWHERE = np.float32(-1e30)
-_NOUGHT, _WHOLE = np.float32(0.0), np.float32(1.0)
+_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 
 @kernel(finite=True)
 def east_offsets(west, posting, site_east, out):
-    """Write the east offset of each map column from a site to `out` (cols,), m."""
+    """Write the east offset of each map column from a site to `out` (cols,), m.
+
+    `west` and `site_east` are the east coordinates of the first column and of the site, and
+    `posting` is the spacing of the columns, m.
+    """
     for c in range(len(out)):
         out[c] = np.float32(west + c * posting - site_east)
 
 
 @kernel(finite=True)
 def _score_row(p_safe, north_offset, east_offset, score):
-    """Write the scores of the cells of one map row (cols,).
+    """Write the scores of the cells of one map row to `score` (cols,).
 
-    The score is p_safe, slightly reduced with the distance from the site, which `north_offset` and
-    `east_offset` (cols,) give, m. Cells with p_safe 0 are excluded.
+    The score is `p_safe` (cols,), slightly reduced with the distance from the site, which
+    `north_offset` and `east_offset` (cols,) give, m. A cell with p_safe 0 is excluded: its score is
+    `NOWHERE`.
     """
     for c in range(len(p_safe)):
         east = east_offset[c]
         distance = np.sqrt(east * east + north_offset * north_offset)
-        value = p_safe[c] * (_WHOLE - _DISTANCE_WEIGHT * distance)
-        score[c] = value if p_safe[c] > _NOUGHT else NOWHERE
+        value = p_safe[c] * (_ONE - _DISTANCE_WEIGHT * distance)
+        score[c] = value if p_safe[c] > _ZERO else NOWHERE
 
 
 @kernel()
@@ -67,8 +72,9 @@ def row_max(cells, row):
 def score_all(p_safe, corner, posting, site, score, score_maxima, p_safe_maxima):
     """Write `score` (rows, cols): p_safe slightly reduced with distance from the site.
 
-    Cells with p_safe 0 are excluded. Also writes the maximum of each row to `score_maxima` and
-    `p_safe_maxima` (rows,).
+    Cells with p_safe 0 are excluded: their score is `NOWHERE`. `corner` (2,) is the centre of cell
+    (0, 0), and `posting` the spacing of the cells, m. The maximum of each row of `score` and
+    `p_safe` is written to `score_maxima` and `p_safe_maxima` (rows,).
     """
     rows, cols = p_safe.shape
     offset = np.empty(cols, np.float32)
@@ -83,7 +89,8 @@ def score_all(p_safe, corner, posting, site, score, score_maxima, p_safe_maxima)
 def disc_half_widths(separation, posting, out):
     """Write the half width of a disc of radius `separation` (m) in each row of cells.
 
-    Entry k of `out`, in cells, is for the rows k cells from the centre.
+    Entry k of `out` is for the rows k cells from the centre: the number of columns from the centre
+    to the first cell outside the disc. `posting` is the spacing of the cells, m.
     """
     for apart in range(len(out)):
         out[apart] = 0
@@ -93,9 +100,10 @@ def disc_half_widths(separation, posting, out):
 
 @kernel(inner=True)
 def exclude_disc(score, score_maxima, row, col, half_widths):
-    """Exclude the cells in a disc around a chosen cell from further choices.
+    """Exclude the cells in a disc around the cell (row, col) from further choices.
 
-    `half_widths` are from `disc_half_widths`; updates `score` and its row maxima `score_maxima`.
+    Their `score` (rows, cols) becomes `NOWHERE`, and the row maxima `score_maxima` (rows,) are
+    updated. `half_widths` are from `disc_half_widths`.
     """
     rows, cols = score.shape
     wide = len(half_widths) - 1
@@ -110,9 +118,10 @@ def exclude_disc(score, score_maxima, row, col, half_widths):
 def best_cells(p_safe, corner, posting, site, count, separation, score, p_safe_maxima, cells):
     """Select up to `count` cells with the highest scores, at a minimum separation.
 
-    The score is p_safe, slightly reduced with distance from the site; `separation` is in m. Writes
-    row and column to `cells` (m, 2), and returns the number of cells. `score` (rows, cols) is
-    scratch; `p_safe_maxima` (rows,) gets the row maxima of `p_safe`.
+    The score is p_safe, slightly reduced with distance from the site; `separation` is in m. Row and
+    column of each selected cell are written to `cells` (m, 2); their number is returned. `score`
+    (rows, cols) is scratch; `p_safe_maxima` (rows,) receives the row maxima of `p_safe`. `corner`
+    and `posting` are those of `score_all`.
     """
     rows = len(p_safe)
     score_maxima = np.empty(rows, np.float32)
@@ -138,8 +147,9 @@ def best_cells(p_safe, corner, posting, site, count, separation, score, p_safe_m
 def nearest_cell(p_safe, corner, posting, site, min_p_safe, p_safe_maxima, cell):
     """Find the cell nearest to the site with `p_safe` of at least `min_p_safe`.
 
-    Writes row and column to `cell` (2,), and returns whether there is such a cell. `p_safe_maxima`
-    (rows,) are the row maxima of `p_safe`.
+    Row and column are written to `cell` (2,), and True is returned. If there is no such cell, the
+    result is False and `cell` is unchanged. `p_safe_maxima` (rows,) are the row maxima of `p_safe`;
+    `corner` and `posting` are those of `score_all`.
     """
     rows, cols = p_safe.shape
     middle = min(max(int(np.floor((site[1] - corner[1]) / posting + 0.5)), 0), rows - 1)
@@ -165,8 +175,9 @@ def nearest_cell(p_safe, corner, posting, site, min_p_safe, p_safe_maxima, cell)
 def nearest_cells(p_safe, corner, posting, site, p_safe_levels, count, p_safe_maxima, cells):
     """Append for each of `p_safe_levels` the nearest cell with at least this p_safe.
 
-    `cells` (m, 2) has `count` cells before; cells in the list are not repeated. Returns the new
-    number of cells.
+    `cells` (m, 2) has `count` cells before, as row and column. A level adds no cell if there is
+    none, or if its cell is in the list already. Returns the new number of cells. The other
+    arguments are those of `nearest_cell`.
     """
     cell = np.empty(2, np.int64)
     for k in range(len(p_safe_levels)):

@@ -53,11 +53,11 @@ _FIRST_SEARCH_TIME_RATIO = 8.0
 class DivertParams(NamedTuple):
     """Paths of a guidance law, and limits of the lander, SI.
 
-    `powers` (2,): powers of time in the polynomial path. `final` (2, 3): velocity and acceleration
-    at the end of the approach. `params` (7,): gravity, mass, exhaust velocity, minimum and maximum
-    thrust, tangents of maximum tilt and glideslope. `coarse_table`, `fine_table`: samples of a path
-    (`sample_table`). `mass_limits` (4,): maximum thrust over dry mass, dry mass, exhaust velocity,
-    propellant reserve.
+    `powers` (2,): powers of time-to-go in the acceleration of a path. `final` (2, 3): velocity and
+    acceleration at the end of the approach. `params` (7,): gravity, mass, exhaust velocity, minimum
+    and maximum thrust, tangents of maximum tilt and glideslope. `coarse_table`, `fine_table`:
+    samples of a path (`sample_table`). `mass_limits` (4,): maximum thrust over dry mass, dry mass,
+    exhaust velocity, propellant reserve.
     """
 
     powers: np.ndarray
@@ -81,10 +81,10 @@ def sample_table(powers, samples):
 def acceleration_terms(work, target_index, state, final, axis, powers, inverse_time):
     """Compute one axis of the path coefficients for sixteen sites at once.
 
-    Returns what the lower of the two powers of time-to-go adds to the mean acceleration, and what
-    both add (compare `power_terms`). Scratch `work` has the target coordinates from `target_index`;
-    `state`, `final` and `powers` are those of `evaluate_path`, and `inverse_time` is one over the
-    times-to-go, 1/s.
+    Returns two SIMD vectors, m/s^2: the contribution of the lower power of time-to-go to the mean
+    acceleration, and the sum of the contributions of the two powers (compare `power_terms`).
+    Scratch `work` has the target coordinates from `target_index` on; `state`, `final` and `powers`
+    are those of `evaluate_path`, and `inverse_time` is one over the times-to-go, 1/s.
     """
     p = (final[0, axis] - state[1, axis]) * inverse_time - final[1, axis]
     q = ((state[0, axis] - load(work, target_index)) * inverse_time + final[0, axis]) * inverse_time
@@ -151,12 +151,13 @@ def evaluate_lanes(work, state, final, table, powers, params):
 
 @kernel(inner=True)
 def search_lanes(work, state, final, spans, count, skip, table, powers, params, best):
-    """Search the best time-to-go of sixteen sites among geometric steps.
+    """Search the best of several times-to-go, in geometric steps, for sixteen sites.
 
     `best` (16,) is the index of the best step; only negative entries (nothing found yet) are
     searched and overwritten. `spans` (3, 16) are first time, s, logarithm of the range of times,
-    and step of the logarithm. There are `count` steps; if `skip` is positive, its multiples are
-    omitted. `work` is scratch; the other arguments are those of `evaluate_path`.
+    and step of the logarithm. There are `count` steps; if `skip` is positive, steps whose index is
+    a multiple of it are omitted. `work` is scratch; the other arguments are those of
+    `evaluate_path`.
     """
     min_cost = np.full(SIMD_WIDTH, _INADMISSIBLE_COST)
     open_ = best < 0
@@ -210,8 +211,8 @@ def search_one(
 
     `start` is the first time, s, `span` the logarithm of the range of times, and `coarse_count` the
     number of steps. `coarse_table` and `table` are the samples of coarse search and refinement.
-    `out` (4,) receives the result of `evaluate_path` for the best path. The other arguments are
-    those of `evaluate_path`.
+    `out` (4,) receives the result of `evaluate_path` for the best path; it is unchanged if no time
+    is admissible. The other arguments are those of `evaluate_path`.
     """
     path_cost, terms = np.empty(4), np.empty((2, 3))
     step = span / max(coarse_count - 1, 1)
@@ -359,7 +360,7 @@ def min_flight_time(speed, distance, law):
     """Return a lower bound of the time to fly `distance` (m), s; at least 1 s.
 
     It is the time of constant maximum thrust with empty tanks straight towards the target. `speed`
-    is the current one, m/s.
+    is the current one, m/s; `law` is a `DivertParams`.
     """
     max_acceleration = law.mass_limits[0] + law.params[GRAVITY]
     root = np.sqrt(speed * speed + 2.0 * max_acceleration * distance)
@@ -371,7 +372,7 @@ def max_flight_time(speed, mass, law):
     """Return an upper bound of the time-to-go, s.
 
     It is the time for which the delta-v in the tanks can compensate gravity. `speed` (m/s) and
-    `mass` (kg) are the current ones.
+    `mass` (kg) are the current ones; `law` is a `DivertParams`.
     """
     max_delta_v = law.mass_limits[2] * np.log(max(mass / law.mass_limits[1], 1.0))
     return (max_delta_v + speed + norm(law.final[0])) / law.params[GRAVITY]
@@ -388,14 +389,21 @@ def _distance(state, target):
 
 @kernel(exact=True)
 def propellant_for(delta_v, mass, law):
-    """Return the propellant for `delta_v` (m/s), kg; inf if too little is left."""
+    """Return the propellant for `delta_v` (m/s), kg; inf if too little is left.
+
+    `mass` is the current mass, kg; `law` is a `DivertParams`, which has the dry mass and the
+    reserve.
+    """
     propellant = mass * -np.expm1(-delta_v / law.mass_limits[2])
     return propellant if propellant <= mass - law.mass_limits[1] - law.mass_limits[3] else np.inf
 
 
 @kernel(exact=True)
-def _is_own(n, thread_slice):
-    """Return whether target `n` is in the blocks of a thread (`search_sites`)."""
+def _is_thread_target(n, thread_slice):
+    """Return whether target `n` is in a block of sixteen that a thread computes.
+
+    `thread_slice` is (thread, number of threads).
+    """
     return (n // SIMD_WIDTH) % thread_slice[1] == thread_slice[0]
 
 
@@ -404,12 +412,13 @@ def _search_longer_times(thread_slice, state, targets, first, searched, last, la
     """Search longer times-to-go for targets without an admissible path.
 
     `out` (n, 4) has the results of the search from `first` to `searched` (n,), s, and is updated by
-    a search up to `last` (n,). Only the blocks of this thread are searched.
+    a search up to `last` (n,). Only the blocks of this thread are searched. `params` are those of
+    `law` with the current mass; the other arguments are those of `divert_costs`.
     """
     indices = np.empty(len(targets), np.int64)
     count = 0
     for n in range(len(targets)):
-        mine = _is_own(n, thread_slice)
+        mine = _is_thread_target(n, thread_slice)
         if mine and not np.isfinite(out[n, 0]) and searched[n] < last[n]:
             indices[count] = n
             count += 1
@@ -436,7 +445,8 @@ def divert_costs(thread_slice, state, mass, targets, min_times, law, out):
     `state` (2, 3) is position and velocity, `mass` in kg, `targets` (n, 3) are end positions of the
     approach, m, and `min_times` (n,) minimum times-to-go, s (NaN: out of reach). `out` (n, 4)
     receives propellant, kg, time, s, maximum thrust, N, and maximum tangent of the tilt; inf and
-    NaN for targets out of reach. `thread_slice` is (thread, number of threads).
+    NaN for targets out of reach. `law` is a `DivertParams`, and `thread_slice` is (thread, number
+    of threads).
     """
     count = len(targets)
     first, last, searched = np.empty(count), np.empty(count), np.empty(count)
@@ -444,7 +454,7 @@ def divert_costs(thread_slice, state, mass, targets, min_times, law, out):
     params[MASS] = mass
     longest = max_flight_time(speed, mass, law)
     for n in range(count):
-        if not _is_own(n, thread_slice):
+        if not _is_thread_target(n, thread_slice):
             continue
         distance = _distance(state, targets[n])
         fastest = min_flight_time(speed, distance, law)
@@ -460,7 +470,7 @@ def divert_costs(thread_slice, state, mass, targets, min_times, law, out):
     )  # fmt: skip
     _search_longer_times(thread_slice, state, targets, first, searched, last, law, params, out)
     for n in range(count):
-        if _is_own(n, thread_slice):
+        if _is_thread_target(n, thread_slice):
             out[n, 0] = propellant_for(out[n, 0], mass, law)
             if not np.isfinite(out[n, 0]):
                 out[n, 1:] = np.nan

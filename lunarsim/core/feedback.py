@@ -39,21 +39,28 @@ def compile_formula(function):
 
 
 def follow_path(state, target, final, time_to_go, gravity, gains, out):
-    """Do nothing: the formula of a law without feedback, which follows its paths."""
+    """Leave `out` unchanged: the formula of a law that only follows its paths."""
 
 
 @kernel()
 def evaluate_formula(formula, state, target, final, time_to_go, gravity, gains, out):
-    """Evaluate a compiled formula; `out` (3,) receives its result, m/s^2."""
+    """Evaluate a compiled formula; `out` (3,) receives its result, m/s^2.
+
+    The result is an acceleration, gravity included. `state` (2, 3) is position and velocity,
+    `target` (3,) the end position, `final` (2, 3) final velocity and acceleration, `time_to_go` the
+    time to the end, `gravity` the downward acceleration; `gains` are those of the law. All are in
+    SI units.
+    """
     formula(state, target, final, time_to_go, gravity, gains, out)
 
 
 def zem_zev(state, target, final, time_to_go, gravity, gains, out):
-    """Compute the acceleration of ZEM/ZEV feedback, gravity included, m/s^2.
+    """Write the acceleration of ZEM/ZEV feedback to `out` (3,), m/s^2.
 
-    The thrust acceleration is ``6 ZEM / T^2 - 2 ZEV / T`` (Guo 2013, Eq. 15). ZEM and ZEV are the
-    errors of position and velocity at the end if no thrust is applied. The final acceleration and
-    `gains` are not used.
+    It includes gravity; the thrust acceleration is ``6 ZEM / T^2 - 2 ZEV / T`` (Guo 2013, Eq. 15).
+    ZEM and ZEV are the errors of position and velocity at the end if no thrust is applied. The
+    final acceleration and `gains` are not used. The other arguments are those of
+    `evaluate_formula`.
     """
     for k in range(3):
         g = -gravity if k == 2 else 0.0
@@ -65,11 +72,12 @@ def zem_zev(state, target, final, time_to_go, gravity, gains, out):
 
 
 def fractional_polynomial(state, target, final, time_to_go, gravity, gains, out):
-    """Compute the acceleration of Lu's feedback law, gravity included, m/s^2.
+    """Write the acceleration of Lu's feedback law to `out` (3,), m/s^2.
 
-    The thrust acceleration is ``gamma (k / (2 (gamma + 2)) - 1) a_Tf + (gamma k / (2 (gamma + 2)) -
-    gamma - 1) g + (gamma + 1) / T (1 - k / (gamma + 2)) (V_f - V) + k / T^2 (r_f - r - V T)`` (Lu
-    2020); a_Tf is the thrust acceleration at the end. `gains` (2,) are gamma and k.
+    It includes gravity. The thrust acceleration is ``gamma (k / (2 (gamma + 2)) - 1) a_Tf + (gamma
+    k / (2 (gamma + 2)) - gamma - 1) g + (gamma + 1) / T (1 - k / (gamma + 2)) (V_f - V) + k / T^2
+    (r_f - r - V T)`` (Lu 2020); a_Tf is the thrust acceleration at the end. `gains` (2,) are gamma
+    and k; the other arguments are those of `evaluate_formula`.
     """
     gamma, gain = gains[0], gains[1]
     half = 0.5 * gain / (gamma + 2.0)

@@ -46,8 +46,9 @@ def fallback_time(distance, speed):
 def advance_response(response, time, lag):
     """Propagate the lagged acceleration of the vehicle to `time`, s, in place.
 
-    `response` (7,) is the lagged and the commanded acceleration, gravity included, m/s^2, and the
-    time of the command, s (NaN: none yet). `lag` is the time constant, s.
+    It approaches the command with the time constant `lag`, s. `response` (7,) is the lagged and the
+    commanded acceleration, gravity included, m/s^2, and the time of the command, s (NaN: none yet),
+    which becomes `time`.
     """
     if lag > 0.0 and not np.isnan(response[COMMAND_TIME]):
         keep = np.exp(-(time - response[COMMAND_TIME]) / lag)
@@ -59,7 +60,11 @@ def advance_response(response, time, lag):
 
 @kernel(exact=True)
 def predict_response(state, response, lag, ahead):
-    """Predict position and velocity one lag (s) ahead, into `ahead` (2, 3)."""
+    """Predict position and velocity one lag (s) ahead, into `ahead` (2, 3).
+
+    The lagged acceleration in `response` (7,), that of `advance_response`, is held constant.
+    `state` (2, 3) is position and velocity.
+    """
     for k in range(3):
         a = response[LAGGED + k]
         ahead[0, k] = state[0, k] + lag * (state[1, k] + 0.5 * lag * a)
@@ -79,7 +84,12 @@ def _tan_max_tilt(height, full_tilt_height, law):
 
 @kernel(exact=True)
 def _limit_descent_speed(state, height, nominal, law):
-    """Return the vertical velocity, m/s, slowed while the lander drifts too fast."""
+    """Return the vertical velocity, m/s, slowed while the lander drifts too fast.
+
+    The result is `nominal`, the nominal vertical velocity, m/s (negative), if the lander can stop
+    its drift within `height`, m, above touchdown. `state` (2, 3) is position and velocity; `law` is
+    a `VerticalDescentParams`.
+    """
     excess = max(np.hypot(state[1, 0], state[1, 1]) - law.tolerated_speed, 0.0)
     # The maximum tilt decreases with height: plan with half of the value at this height.
     stopping = excess / (0.5 * law.gravity * _tan_max_tilt(height, law.full_tilt_height, law))
@@ -90,10 +100,11 @@ def _limit_descent_speed(state, height, nominal, law):
 
 @kernel(exact=True)
 def vertical_descent_command(state, end, nominal, law, command):
-    """Compute the thrust acceleration of the vertical descent, `command` (3,), m/s^2.
+    """Write the thrust acceleration of the vertical descent to `command` (3,), m/s^2.
 
-    `end` (3,) is the position of the centre of mass at touchdown, m, and `nominal` the nominal
-    vertical velocity, m/s.
+    `state` (2, 3) is position and velocity, ENU, `end` (3,) the position of the centre of mass at
+    touchdown, m, and `nominal` the nominal vertical velocity, m/s. `law` is a
+    `VerticalDescentParams`.
     """
     height = state[0, 2] - end[2]
     wanted = _limit_descent_speed(state, height, nominal, law)

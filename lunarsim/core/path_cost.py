@@ -19,9 +19,10 @@ HALVINGS = 5
 def power_terms(state, target, final, time_to_go, powers, out):
     """Compute the coefficients of a polynomial path from its boundary conditions.
 
-    `out` (2, 3), m/s^2, receives what each of the two powers of time-to-go adds to the mean
-    acceleration. `state` (2, 3) is current position and velocity, `target` (3,) the final position,
-    `final` (2, 3) final velocity and acceleration, and `powers` (2,) are those of `PathShape`.
+    `out` (2, 3), m/s^2, receives the contribution of each of the two powers of time-to-go to the
+    mean acceleration. `state` (2, 3) is current position and velocity, `target` (3,) the final
+    position, `final` (2, 3) final velocity and acceleration, and `powers` (2,) are those of
+    `PathShape`.
     """
     low, high = powers[0], powers[1]
     for k in range(3):
@@ -57,10 +58,10 @@ def evaluate_path(state, target, final, time_to_go, table, powers, params, terms
     """Evaluate a polynomial path; return whether it is admissible, and write its cost.
 
     `out` (4,) receives delta-v (m/s), time (s), maximum thrust (N) and maximum tangent of the tilt;
-    `terms` (2, 3) is a work array. `state`, `target`, `final` and `powers` are those of
-    `power_terms`. `table` (samples + 1, 3) is the fraction of time left at the samples, from 1 to
-    0, and its two powers. `params` (7,): gravity, mass, exhaust velocity, minimum and maximum
-    thrust, tangents of maximum tilt and glideslope.
+    it is not written if the path is not admissible. `terms` (2, 3) is a work array. `state`,
+    `target`, `final` and `powers` are those of `power_terms`. `table` (samples + 1, 3) is the
+    fraction of time left at the samples, from 1 to 0, and its two powers. `params` (7,): gravity,
+    mass, exhaust velocity, minimum and maximum thrust, tangents of maximum tilt and glideslope.
     """
     power_terms(state, target, final, time_to_go, powers, terms)
     d, e = powers[0] + 1.0, powers[1] + 1.0
@@ -111,9 +112,9 @@ def search_coarse(
 ):
     """Search the time-to-go with minimum delta-v among geometric steps.
 
-    The times are ``first exp(m log_step)``, s, for m below `count`; if `skip` is positive, its
-    multiples are omitted. Returns the best m, or -1 if no path is admissible. The other arguments
-    are those of `evaluate_path`; `path_cost` (4,) is a work array.
+    The times are ``first exp(m log_step)``, s, for m below `count`; if `skip` is positive,
+    multiples of `skip` are omitted. Returns the best m, or -1 if no path is admissible. The other
+    arguments are those of `evaluate_path`; `path_cost` (4,) is a work array.
     """
     best, min_cost = -1, np.inf
     for m in range(count):

@@ -73,7 +73,8 @@ def body_point(y, pad, out):
 def max_pad_height(z, frame, x, y, disc):
     """Return the maximum terrain height, m, under a pad at (x, y); NaN where unknown.
 
-    `z` and `frame` are the terrain raster; `disc` (n, 2) are sample points of the pad, m.
+    `z` and `frame` are those of `height_at`; `disc` (n, 2) are sample points of the pad, m,
+    relative to its centre.
     """
     best = -np.inf
     for k in range(len(disc)):
@@ -86,10 +87,11 @@ def max_pad_height(z, frame, x, y, disc):
 
 @kernel()
 def has_contact(y, pads, disc, z, frame):
-    """Return whether any pad touches the terrain.
+    """Return whether at least one pad touches the terrain.
 
     `y` (15,) is the lander's state, `pads` (n, 3) are pad centres in body axes and `disc` (k, 2)
-    sample points of a pad, m; `z` and `frame` are the terrain raster.
+    sample points of a pad, m; `z` and `frame` are those of `height_at`. Unknown terrain gives no
+    contact.
     """
     at = np.empty(3)
     for k in range(len(pads)):
@@ -104,7 +106,10 @@ def has_contact(y, pads, disc, z, frame):
 
 @kernel()
 def _fit_plane(a, b, c, out):
-    """Write the plane through three points into `out`: z0, slope east, slope north."""
+    """Write the plane through three points into `out`: z0, slope east, slope north.
+
+    The points `a`, `b` and `c` (3,) are in m; z0 is the height of the plane at the origin, m.
+    """
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     det = ux * vy - uy * vx
@@ -146,10 +151,10 @@ def _inside(x, y, legs):
 
 @kernel()
 def samples_between_legs(legs, spacing):
-    """Return the points of a grid (n, 2) inside the polygon of the legs, m.
+    """Return the points of a grid (k, 2), m, inside the polygon of the legs.
 
-    `legs` (n, 3) are contact points, m, and `spacing` is that of the grid, m. Without a known
-    position of a leg there are no points.
+    `legs` (n, 3) are contact points, counter-clockwise, m, of which only the horizontal positions
+    are used; `spacing` is that of the grid, m.
     """
     west, east, south, north = legs[0, 0], legs[0, 0], legs[0, 1], legs[0, 1]
     for k in range(1, len(legs)):
@@ -234,9 +239,11 @@ def tip_margin(y, legs, slope, params):
 def evaluate_touchdown(y, legs, points, heights, params, out):
     """Evaluate a touchdown; return its violated limits, one bit each (0: safe).
 
-    `y` (15,) is the state, `legs` (n, 3) are contact points, and `points` (m, 2) and `heights` (m,)
-    the terrain between them, m; unknown heights are NaN. `out` (7,) receives vertical and
-    horizontal speed, tilt, angular rate, slope, roughness and tip-over margin.
+    The bits are `OFF_MAP` (unknown terrain) to `TIP_OVER`. `y` (15,) is the state, `legs` (n, 3)
+    are contact points, and `points` (m, 2) and `heights` (m,) the terrain between them, m; unknown
+    heights are NaN. `params` is a `TouchdownParams`. `out` (7,) receives vertical and horizontal
+    speed (m/s), tilt (rad), angular rate (rad/s), slope (rad), roughness (m) and tip-over margin;
+    those of unknown terrain are NaN.
     """
     known = True
     for k in range(len(legs)):
@@ -271,7 +278,8 @@ def evaluate_on_raster(y, pads, disc, spacing, z, frame, params, out):
     """Evaluate a touchdown on raster terrain, as `evaluate_touchdown` does.
 
     `pads` (n, 3) are pad centres in body axes and `disc` (k, 2) sample points of a pad, m;
-    `spacing` is the distance of terrain samples between the legs, m.
+    `spacing` is the distance of terrain samples between the legs, m; `z` and `frame` are those of
+    `height_at`.
     """
     legs = np.empty((len(pads), 3))
     for k in range(len(pads)):

@@ -50,7 +50,14 @@ class Classification:
 
     @property
     def rates(self) -> dict[str, float]:
-        """Rates of the shadow EKF paper as fractions, such as the recall of clear terrain."""
+        """Rates of the shadow EKF paper as fractions, by name; NaN without such cells.
+
+        ``clear_recall`` is the fraction of truly clear cells that are classified clear,
+        ``occupied_called_clear`` that of truly occupied cells classified clear, ``clear_false``
+        that of cells classified clear that are occupied, and ``occupied_correct`` that of cells
+        classified occupied that are occupied. ``called_clear`` and ``unknown`` are fractions of all
+        cells.
+        """
         return {
             "clear_recall": _share(self.clear_right, self.clear),
             "occupied_called_clear": _share(self.clear_wrong, self.occupied),

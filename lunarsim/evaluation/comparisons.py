@@ -58,7 +58,7 @@ def share_difference(
     """Compare the success rates of two variants on the same flights.
 
     The interval is Newcombe's interval for paired proportions (Newcombe 1998, Statist. Med. 17,
-    2635, method 10); the test is McNemar's exact test.
+    2635, method 10); the test is McNemar's exact test. Without flights the difference is NaN.
 
     Parameters
     ----------
@@ -105,9 +105,10 @@ def mean_difference(
 ) -> Difference:
     """Compare the mean of a metric of two variants on the same flights, ignoring NaN.
 
-    `first` and `second` (n,) are its values by flight, `names` the variants.
-
-    The interval is a bias-corrected bootstrap over flights; the test is Student's paired t-test.
+    `first` and `second` (n,) are its values by flight, `names` the variants. The interval is a
+    bias-corrected bootstrap over flights; the test is Student's paired t-test. With fewer than two
+    pairs, or if all differences are equal, there is no test: p is 1 for a difference of 0 and
+    otherwise NaN.
     """
     d = np.asarray(second, dtype=np.float64) - np.asarray(first, dtype=np.float64)
     d = d[np.isfinite(d)]
@@ -143,9 +144,9 @@ def bootstrap_interval(
 
 
 def holm_correction(p: Sequence[float]) -> Array:
-    """Correct p-values for multiple tests by Holm's method.
+    """Correct p-values (n,) for multiple tests by Holm's method.
 
-    NaN stays NaN and does not count as a test.
+    NaN stays NaN and does not count as a test. The order is kept.
     """
     values = np.asarray(p, dtype=np.float64)
     out = np.full(len(values), np.nan)
@@ -161,10 +162,10 @@ def holm_correction(p: Sequence[float]) -> Array:
 def quantile_interval(
     values: ArrayLike, q: float, level: float = 0.95
 ) -> tuple[float, float, float]:
-    """Return a quantile of values and the ends of its distribution-free interval.
+    """Return the quantile `q` of values (n,), and its distribution-free interval.
 
-    The interval, at the confidence `level`, is between order statistics; its ends are NaN if there
-    are too few values.
+    The result is quantile, low end and high end. The interval, at the confidence `level`, is
+    between order statistics; its ends are NaN if there are too few values. NaN values are ignored.
     """
     x = np.sort(np.asarray(values, dtype=np.float64))
     x = x[np.isfinite(x)]

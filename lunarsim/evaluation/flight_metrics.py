@@ -98,9 +98,10 @@ def evaluate(flight: Flight, truth: TerrainTruth) -> dict[str, Any]:
 
 
 def predicted_p_safe(flight: Flight) -> float:
-    """Return p_safe of the last chosen site in the decision map; NaN if unobserved.
+    """Return p_safe of the last chosen site in the decision map.
 
-    The decision map is the hazard map from which the policy chose the site.
+    The decision map is the hazard map from which the policy chose the site. The result is NaN
+    without a map, and if the site lies outside the map or on unobserved terrain.
     """
     m = flight.hazard_map
     if m is None or not m.grid.contains(flight.sites[-1, :2]):
@@ -112,7 +113,8 @@ def predicted_p_safe(flight: Flight) -> float:
 def initial_aim_point(flight: Flight) -> Array:
     """Return the true position that the lander aimed at before any divert (2,), m.
 
-    The position is east and north.
+    The position is east and north: the onboard target minus the navigation error at the first
+    decision, or at the end of a flight without decisions.
     """
     t = flight.trajectory
     row = -1
@@ -125,7 +127,8 @@ def initial_aim_point(flight: Flight) -> Array:
 def safe_site_in_reach(flight: Flight, truth: TerrainTruth) -> bool:
     """Return whether a safe site was in reach when terrain was first mapped.
 
-    Safe means truly safe by `truth`; sites are cells that the hazard map observed.
+    Safe means truly safe by `truth`; sites are cells that the hazard map observed. If many of them
+    are safe, only some hundred are tested. Without a map the result is False.
     """
     m, first = flight.hazard_map, flight.first_map
     if m is None or first is None:

@@ -37,7 +37,7 @@ class MapQuality:
 
     @classmethod
     def none(cls) -> MapQuality:
-        """Return counts of zero, for a flight without a map."""
+        """Return counts that are all zero, for a flight without a map."""
         return cls(0, 0, 0, 0)
 
     @classmethod
@@ -65,13 +65,19 @@ class MapQuality:
 
     @property
     def precision(self) -> float:
-        """Fraction of the cells classified safe that are truly safe; NaN without any."""
+        """Fraction of the cells classified safe that are truly safe.
+
+        It is NaN if no cell is classified safe.
+        """
         called = self.true_safe + self.false_safe
         return self.true_safe / called if called else float("nan")
 
     @property
     def recall(self) -> float:
-        """Fraction of the truly safe cells that are classified safe; NaN without any."""
+        """Fraction of the truly safe cells that are classified safe.
+
+        It is NaN if no cell is truly safe.
+        """
         safe = self.true_safe + self.false_unsafe
         return self.true_safe / safe if safe else float("nan")
 
@@ -82,7 +88,7 @@ class MapQuality:
 
     @property
     def safe_share(self) -> float:
-        """Fraction of all evaluated cells that are truly safe; NaN without any."""
+        """Fraction of all evaluated cells that are truly safe; NaN without cells."""
         return (
             (self.true_safe + self.false_unsafe) / self.evaluated
             if self.evaluated
@@ -93,7 +99,7 @@ class MapQuality:
 def map_quality(
     hazard_map: HazardMap, truth: TerrainTruth, error: ArrayLike, level: float = 0.5
 ) -> MapQuality:
-    """Compare the observed cells of a hazard map with the true safety.
+    """Count the observed cells of a hazard map by predicted and true safety.
 
     Parameters
     ----------

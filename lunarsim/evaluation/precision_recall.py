@@ -65,6 +65,9 @@ class PrecisionRecall:
         return float(precision[min(int(np.searchsorted(found, recall)), len(found) - 1)])
 
     def recall_at(self, precision: float) -> float:
-        """Return the maximum recall of thresholds with at least a given precision, or 0."""
+        """Return the maximum recall of thresholds with at least a given precision.
+
+        The result is 0 if no threshold has this precision.
+        """
         own, found = self.curve()
         return float(found[own >= precision].max(initial=0.0))

@@ -67,9 +67,9 @@ def decision_rows(flight: Flight) -> tuple[int, int] | None:
 def reach_at_row(flight: Flight, row: int, grid: Grid) -> ReachabilityMap:
     """Return where the lander could land from its state in a trajectory row.
 
-    The result is on `grid` (local frame). Terrain heights are from the last hazard map; elsewhere,
-    the height of the landing site is used. Sites that are not visible through the lander's window
-    count as within reach.
+    The result is on `grid`, in the local (onboard) frame. Terrain heights are from the last hazard
+    map; elsewhere, the height of the landing site is used. Sites that are not visible through the
+    lander's window count as within reach.
     """
     estimate, site = estimate_at_row(flight, row), flight.sites[row]
     height = elevation_on_grid(grid, flight.hazard_map, float(site[2]))

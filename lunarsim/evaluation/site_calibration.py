@@ -85,7 +85,7 @@ class SiteSamples:
         evidence
             Inputs of the safety calibration at each cell of the map.
         mask, safe
-            Observed sites to take, and whether each site is safe (rows, cols).
+            Which cells to take as sites, and whether each cell is safe (rows, cols).
         flight
             Index of the flight.
         """
@@ -118,16 +118,19 @@ class SiteSamples:
         return SiteSamples(*(getattr(self, f.name)[mask] for f in fields(self)))
 
     def domain(self) -> CalibrationDomain:
-        """Return the range of site features that these sites cover.
+        """Return the calibration domain: the range of site features of these sites.
 
-        Sites outside the domain of the regressions supplied with lunarsim are included if there are
-        enough of them for a fit.
+        Sites outside the domain of the regressions supplied with lunarsim are included only if
+        there are enough of them for a fit.
         """
         s = self if has_enough_sites(self.safe[~self.known]) else self.at(self.known)
         return CalibrationDomain.of(s.hazards, s.tilting, s.noise, s.spacing)
 
     def inside(self, domain: CalibrationDomain) -> BoolArray:
-        """Return which sites lie in a domain of a calibration (n,)."""
+        """Return which sites lie in a domain of a calibration (n,).
+
+        The features are expected undetected rocks, noise and sample spacing.
+        """
         few = domain.is_within_counts(self.hazards, self.tilting)
         return np.asarray(few & domain.is_within_measurements(self.noise, self.spacing))
 
@@ -255,9 +258,11 @@ class CrossValidation:
 
     Attributes
     ----------
-    packaged_domain, refit_domain
-        Comparison on the sites where the regressions supplied with lunarsim apply, and on the sites
-        in the domain of the refit.
+    packaged_domain
+        Comparison on the sites in the domain of the regressions supplied with lunarsim, if these
+        regressions agree.
+    refit_domain
+        Comparison on the sites in the domain of the refit.
     """
 
     packaged_domain: CalibrationComparison
@@ -304,7 +309,8 @@ def cross_validate(
 def check_site_counts(sites: SiteSamples) -> None:
     """Raise `InputError` if too few safe or unsafe sites are available for a fit.
 
-    There must be enough of both either inside or outside the domain of the regressions.
+    There must be enough safe and enough unsafe sites inside the domain of the regressions supplied
+    with lunarsim, or enough of each outside this domain.
     """
     safe, known = sites.safe, sites.known
     if not (has_enough_sites(safe[known]) or has_enough_sites(safe[~known])):
@@ -326,10 +332,10 @@ def _compare_probabilities(
     """
     flights = flight_weights.shape[1]
     score = [(p - sites.safe) ** 2 for p in (before, after)]
-    gain = _per_flight(sites.flight[mask], (score[0] - score[1])[mask], flights)
+    gain = _sum_per_flight(sites.flight[mask], (score[0] - score[1])[mask], flights)
     with np.errstate(invalid="ignore"):
         gains = (flight_weights @ gain) / (
-            flight_weights @ _per_flight(sites.flight[mask], None, flights)
+            flight_weights @ _sum_per_flight(sites.flight[mask], None, flights)
         )
     return CalibrationComparison(
         _compute_quality(sites, before, mask, flight_weights),
@@ -343,7 +349,8 @@ def _compute_quality(
 ) -> ProbabilityQuality:
     """Compute the accuracy of probabilities `p` (n,) on the sites of a mask (n,).
 
-    `flight_weights` is explained in `_compare_probabilities`.
+    `flight_weights` (resamples, flights) are the numbers of times that each bootstrap resample
+    contains each flight, as in `_compare_probabilities`.
     """
     flights = flight_weights.shape[1]
     s, p = sites.at(mask), p[mask]
@@ -352,7 +359,7 @@ def _compute_quality(
     def total(values: Array | BoolArray | None, among: BoolArray | None = None) -> Array:
         at = s.flight if among is None else s.flight[among]
         given = values if values is None or among is None else values[among]
-        sums: Array = flight_weights @ _per_flight(at, given, flights)
+        sums: Array = flight_weights @ _sum_per_flight(at, given, flights)
         return sums
 
     bins = np.array(
@@ -365,7 +372,7 @@ def _compute_quality(
         spread = base * (1.0 - base)
         skill = 1.0 - total((p - s.safe) ** 2) / number / np.where(spread > 0.0, spread, np.nan)
         gap = total(p - s.safe, confident) / total(None, confident)
-        share = number / (flight_weights @ _per_flight(sites.flight, None, flights))
+        share = number / (flight_weights @ _sum_per_flight(sites.flight, None, flights))
         ece = np.abs(table[..., 1] - table[..., 2]).sum(axis=1) / number
     return ProbabilityQuality(
         len(s), _interval(share), _interval(base), _bias_corrected_interval(ece), _interval(skill),
@@ -373,8 +380,12 @@ def _compute_quality(
     )  # fmt: skip
 
 
-def _per_flight(flight: IntArray, values: Array | BoolArray | None, flights: int) -> Array:
-    """Return the sum of values (n,), or their count, of each flight (flights,)."""
+def _sum_per_flight(flight: IntArray, values: Array | BoolArray | None, flights: int) -> Array:
+    """Return the sum of the values (n,) of each flight (flights,).
+
+    `flight` (n,) are the indices of the flights; if `values` is None, the number of elements of
+    each flight is returned.
+    """
     return np.bincount(flight, weights=values, minlength=flights).astype(np.float64)
 
 
@@ -391,9 +402,9 @@ def _interval(resampled: Array) -> Array:
 def _bias_corrected_interval(resampled: Array) -> Array:
     """Return a statistic and its bootstrap interval, corrected for resampling bias.
 
-    For a statistic that is non-negative and increases with noise, such as the calibration error,
-    resampling adds noise. The interval is therefore shifted back by the mean increase. `resampled`
-    is explained in `_interval`.
+    `resampled` holds the statistic of the original sample, then those of the resamples. For a
+    statistic that is non-negative and increases with noise, such as the calibration error,
+    resampling adds noise. The interval is therefore shifted back by the mean increase.
     """
     value, low, high = _interval(resampled)
     rest = resampled[1:][np.isfinite(resampled[1:])]
@@ -404,7 +415,10 @@ def _bias_corrected_interval(resampled: Array) -> Array:
 def with_quality(
     refit: ScenarioCalibration, cross_validation: CrossValidation
 ) -> ScenarioCalibration:
-    """Return a calibration that also stores its cross-validated accuracy."""
+    """Return a copy of a calibration that also stores its cross-validated accuracy.
+
+    `refit` is the calibration; the accuracy of the supplied calibration is stored too.
+    """
     groups = {
         "packaged_domain": cross_validation.packaged_domain,
         "refit_domain": cross_validation.refit_domain,

@@ -13,6 +13,8 @@ from lunarsim.typing import Array
 class TruthMesh:
     """Coarse triangular mesh of the true terrain; deviations from it are hazards.
 
+    The nodes of the mesh are the mean elevations of squares of terrain.
+
     Parameters
     ----------
     elevation

@@ -141,6 +141,10 @@ def _undistort(pixels: Array, pinhole: Pinhole, distortion: tuple[float, ...]) -
 def _tangents(
     width: int, height: int, pinhole: Pinhole, distortion: tuple[float, ...]
 ) -> tuple[Array, Array]:
+    """Return the tangents of each pixel's line of sight, right and down, cached.
+
+    Lens distortion is removed; each result is (height, width).
+    """
     if not any(distortion):
         return pinhole.tangents(width, height)
     u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))

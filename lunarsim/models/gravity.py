@@ -14,7 +14,10 @@ from lunarsim.typing import Array
 
 
 class GravityModel(Protocol):
-    """Interface of gravity models: acceleration as a function of position."""
+    """Interface of gravity models.
+
+    They give gravity, free-fall acceleration and the height above the datum.
+    """
 
     def at(self, position: ArrayLike) -> Array:
         """Return the acceleration (3,), ENU, m/s^2, at a position (3,), m."""
@@ -172,7 +175,7 @@ class CentralGravity:
     def inertial_velocity(self, position: ArrayLike, velocity: ArrayLike) -> Array:
         """Convert velocities (..., 3), m/s, of the rotating frame to inertial velocities.
 
-        The result is in a non-rotating frame with the same axes.
+        `position` (..., 3) is in m, ENU. The result is in a non-rotating frame with the same axes.
         """
         about = np.cross(self.spin, self.position_from_centre(position))
         return np.asarray(np.asarray(velocity, dtype=np.float64) + about)

@@ -74,7 +74,8 @@ class OnboardComputer:
     diverts
         Decisions that changed the site: time (s), old site (3,) in m, decision.
     updated_mappers
-        Names of the mappers that received a measurement in this cycle.
+        Names of the mappers that received a measurement in this cycle, and of those that combine
+        the maps of such mappers.
     expected_miss
         Miss distance at the site in the last observation, 1 sigma per axis, m; NaN before the first
         observation.
@@ -150,7 +151,10 @@ class OnboardComputer:
 
     @property
     def time_to_go(self) -> float:
-        """Time until the planned end of the approach, s."""
+        """Time until the planned end of braking or of the approach, s.
+
+        During braking it counts to the end of braking, afterwards to the end of the approach.
+        """
         return self._phases.arrival - self.time
 
     @property
@@ -190,7 +194,11 @@ class OnboardComputer:
 
     @property
     def decision_due(self) -> bool:
-        """Whether the policy must be asked for a decision in this cycle."""
+        """Whether the policy must be asked for a decision in this cycle.
+
+        This is the case during the approach, within the altitudes for decisions, if the interval
+        since the last decision has passed, diverts are not inhibited, and there is a mapper.
+        """
         window = self.decisions
         return (
             self.phase == Phase.APPROACH
@@ -209,7 +217,10 @@ class OnboardComputer:
         return self.site_evaluator.cost_of(sites, estimate or self.estimate)
 
     def observe(self) -> Observation:
-        """Return the current observation of the policy, and store its candidate sites."""
+        """Return the current observation of the policy, and store its candidate sites.
+
+        Its expected miss is stored too. A `RuntimeError` is raised if the lander has no mapper.
+        """
         observation = self.site_evaluator.observe(self.status)
         self.candidates, self.expected_miss = observation.candidates, observation.expected_miss
         return observation
@@ -234,8 +245,9 @@ class OnboardComputer:
     def update(self, measurements: Measurements) -> None:
         """Update navigation and the maps with the measurements since the last cycle.
 
-        A measurement that is older than the previous one of its sensor, or that lies in the future,
-        is dropped and reported as the event "out-of-order".
+        A measurement is dropped and reported as "out-of-order" if it is older than the previous
+        one of its sensor or lies in the future, and as "stale" if it is too old for the filter
+        (`MeasurementSequencer`).
 
         Raises
         ------
@@ -267,7 +279,11 @@ class OnboardComputer:
             self._replan()
 
     def _update_actuators(self, time: float, elapsed: float) -> None:
-        """Update mass and failed thrusters, over `elapsed` up to `time`, s."""
+        """Update mass and failed thrusters, and give navigation the commanded thrust.
+
+        `elapsed` is the length of the cycle that ends at `time`, both in s. Navigation gets the
+        thrust only if it uses it. New events (empty tanks, failed thrusters) are recorded.
+        """
         # The tanks have no gauges: the commanded thrust is taken as burnt.
         if isinstance(self.navigation, ThrustAware):
             self.navigation.record_thrust(self._thrust, elapsed)
@@ -289,7 +305,8 @@ class OnboardComputer:
     def _process(self, sensor: str, received: Any) -> None:
         """Update navigation, then the mappers that use `sensor`, with one measurement.
 
-        `received` is the measurement; it is dropped if it is out of order.
+        `received` is the measurement; it is dropped if it is out of order. Mappers get the
+        measurement corrected by navigation; inertial samples go to navigation only.
         """
         measurement = self._arrivals.admit(sensor, received, self.time)
         if measurement is None:
@@ -316,7 +333,12 @@ class OnboardComputer:
         }
 
     def _follow_navigation(self) -> None:
-        """Record new navigation events and move the site to its corrected position."""
+        """Adapt site, maps and time-to-go to new results of navigation; record its events.
+
+        The site moves with the corrected target, unless a divert was made or the vertical descent
+        has begun. The maps follow corrections of the tilt. After a lock on the prior map, the
+        time-to-go is chosen again if it is free.
+        """
         shift = self.navigation.site_to_local
         target = shift.to_local(self.briefing.target)
         if not np.array_equal(target, self._corrected_target):
@@ -336,7 +358,10 @@ class OnboardComputer:
         self._recorded_navigation_events = len(self.navigation.events)
 
     def _update_site_height(self) -> None:
-        """Set the height of the site to the mapped terrain height there, once it is known."""
+        """Set the height of the site to the height of the mapped terrain there.
+
+        The site stays unchanged without a mapper or while the height there is unknown.
+        """
         mapper = self.mapper
         if mapper is None or mapper.is_empty:
             return
@@ -392,7 +417,10 @@ class OnboardComputer:
         return True
 
     def _replan(self, time_scale: float | None = None) -> None:
-        """Choose a new time-to-go to the current site; record a refused time scale."""
+        """Choose a new time-to-go to the current site; record a refused time scale.
+
+        `time_scale` is a factor on the minimum-propellant time-to-go; None: 1.
+        """
         why = self._phases.replan(self.status, time_scale)
         if why:
             self._record_refusal(self.site, why, time_scale)

@@ -21,7 +21,9 @@ class DivertInhibit:
         self._mapped_lost = False
 
     def update(self, is_lost: bool, has_mapped: bool) -> bool:
-        """Update the inhibit for one control cycle; return whether it changed.
+        """Update the inhibit for one control cycle.
+
+        The return value states whether `inhibited` changed in this cycle.
 
         Parameters
         ----------

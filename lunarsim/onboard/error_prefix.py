@@ -14,8 +14,9 @@ _OTHER_TABLES = {"sun", "navigation", "vehicle", "sensors", "prior_map", "expect
 def prefix_input_errors(table: str) -> Iterator[None]:
     """Name the scenario table in the fields of errors that a `with` block raises.
 
-    The field of each `InputError` becomes "TABLE.KEY", with `table` for TABLE. Fields that name a
-    key of another table (for example a sensor) are left unchanged.
+    The field of each `InputError` becomes "TABLE.KEY": `table` and the last part of the old field.
+    Fields that begin with "sun", "navigation", "vehicle", "sensors", "prior_map" or
+    "expected_rocks" already name a table and stay unchanged, as do other exceptions.
     """
     try:
         yield

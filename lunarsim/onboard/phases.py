@@ -86,19 +86,29 @@ class PhaseSequence:
         return self.phase == Phase.APPROACH and self._approach.has_free_time_to_go
 
     def abort(self, status: DescentStatus, reason: str) -> None:
-        """Start the abort, for a reason that the policy states."""
+        """Set the phase to ABORT and record the event "abort".
+
+        `reason` is the reason that the policy states, for the event.
+        """
         self.phase = Phase.ABORT
         self._record(status.time, "abort", {"altitude": status.altitude, "reason": reason})
 
     def advance(self, status: DescentStatus) -> None:
-        """Update the time-to-go, and make the transitions that are due in this cycle."""
+        """Update the time-to-go, and make the transitions that are due in this cycle.
+
+        They are those of braking and approach; vertical descent and abort do not change here.
+        """
         if self.phase == Phase.BRAKING:
             self._advance_braking(status)
         if self.phase == Phase.APPROACH:
             self._advance_approach(status)
 
     def _advance_braking(self, status: DescentStatus) -> None:
-        """Update the time-to-go of braking; start the approach when braking ends."""
+        """Update the time-to-go of braking; start the approach when braking ends.
+
+        At the start of the approach, its first time-to-go is set and the event "approach" is
+        recorded; if no path keeps the limits, "approach-out-of-limits" is recorded too.
+        """
         end = self._braking.end(status.site)
         left = self._braking.time_left(status.estimate, end, self.arrival - status.time)
         self.arrival = status.time + left
@@ -115,7 +125,11 @@ class PhaseSequence:
         self.arrival = status.time + left
 
     def _advance_approach(self, status: DescentStatus) -> None:
-        """Compute the time-to-go from a given jerk; start the vertical descent when due."""
+        """Update the time-to-go of the approach; start the vertical descent when due.
+
+        The time-to-go is computed only if the mission gives the jerk; otherwise it stays. The
+        vertical descent starts at the final altitude or the final time-to-go of the approach.
+        """
         left = self.arrival - status.time
         if self._approach.jerk is not None:
             end = self._approach.end(status.site, self._lander)
@@ -131,8 +145,9 @@ class PhaseSequence:
     ) -> tuple[float | None, str]:
         """Return the time scale that a decision may set, and why another one is refused.
 
-        A time scale is a factor on the time-to-go; None if the decision sets none or may not.
-        `inhibited` is whether diverts are inhibited.
+        A time scale is a factor on the time-to-go. The first result is None if the decision sets
+        no time scale (`time_scale` is None) or may not set one. The reason is an empty text if
+        nothing is refused. `inhibited` is whether diverts are inhibited.
         """
         if time_scale is None:
             return None, ""
@@ -147,9 +162,10 @@ class PhaseSequence:
         """Choose a new time-to-go to the current landing site.
 
         It is the minimum-propellant time-to-go, multiplied by `time_scale` if this is given and
-        within the limits. If no path exists, the time-to-go stays. Diverts always get a new
-        time-to-go; a lander that keeps its site gets one here, since otherwise diverts would appear
-        to save propellant. Returns why the time scale was refused, or an empty text.
+        the resulting path keeps the limits. If no path exists, the time-to-go stays. Diverts
+        always get a new time-to-go; a lander that keeps its site gets one here, since otherwise
+        diverts would appear to save propellant. Returns why the time scale was refused, or an
+        empty text.
         """
         time_to_go, why = self._evaluator.time_to(status.site, status.estimate, time_scale)
         if np.isfinite(time_to_go):
@@ -157,9 +173,11 @@ class PhaseSequence:
         return why
 
     def extend(self, status: DescentStatus) -> None:
-        """Extend the time-to-go if commands exceed limits and a longer path does not.
+        """Extend the time-to-go to that of the minimum-propellant path, if it is longer.
 
-        A time-to-go set by the mission or by the guidance law is not changed.
+        The onboard computer calls this when its commands exceed the limits. The time-to-go stays
+        if no path keeps the limits, if it is already long enough, or if the mission or the
+        guidance law sets it.
         """
         if reason_time_is_fixed(self._approach, self._guidance):
             return
@@ -170,7 +188,10 @@ class PhaseSequence:
             self._record(status.time, "time-to-go-extended", {"seconds": time_to_go - left})
 
     def follow_guidance(self) -> None:
-        """Adopt the arrival time planned by the guidance law, and record its events."""
+        """Adopt the arrival time planned by the guidance law, and record its new events.
+
+        Nothing is done for a guidance law that plans no arrival time.
+        """
         if not isinstance(self._guidance, PlansArrival):
             return
         if self._guidance.arrival is not None:

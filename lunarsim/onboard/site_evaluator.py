@@ -36,7 +36,7 @@ class DescentStatus:
     altitude
         Estimated height of the pads above the site, m.
     time_to_go
-        Time until the planned end of the approach, s.
+        Time until the planned end of braking or of the approach, s.
     """
 
     time: float
@@ -91,7 +91,7 @@ class SiteEvaluator:
     def record_update(self, updated_mappers: set[str], time: float) -> None:
         """Record the time of a measurement if it changed the map used for decisions.
 
-        `updated_mappers` are the names of the mappers that received a measurement at `time`, s.
+        `updated_mappers` are the names of the mappers whose maps changed at `time`, s.
         """
         if self.decision_map_name in updated_mappers:
             self._dispersion.last_scan_time = time
@@ -139,7 +139,8 @@ class SiteEvaluator:
     def is_visible(self, site: Array, estimate: Estimate) -> bool:
         """Return whether a site (3,), m, is visible through the crew window.
 
-        The site is in the local frame. Without a window, the result is always True.
+        `estimate` is the pose of the lander, and the site is in the local frame. Without a window,
+        the result is always True.
         """
         window = self.briefing.software.designation_window
         return window is None or bool(window.sees(estimate, site))
@@ -147,7 +148,8 @@ class SiteEvaluator:
     def _cost_of_visible(self, sites: Array, estimate: Estimate) -> DivertCost:
         """Return the divert cost of sites (n, 3), m; infinite for sites not visible.
 
-        Sites outside the crew window are not visible.
+        Sites outside the crew window are not visible: their propellant is infinite and their
+        time-to-go NaN. Without a window, all sites are visible.
         """
         cost, window = self.cost_of(sites, estimate), self.briefing.software.designation_window
         if window is None:
@@ -211,7 +213,10 @@ class SiteEvaluator:
         )
 
     def _miss_of(self, time_to_go: Array, status: DescentStatus) -> Array:
-        """Return the expected landing miss for times-to-go (n,), s: 1 sigma per axis, m."""
+        """Return the expected landing miss for times-to-go (n,), s: 1 sigma per axis, m.
+
+        Where a time-to-go is not finite, the one of `status` is used.
+        """
         until = np.where(np.isfinite(time_to_go), time_to_go, status.time_to_go)
         return self._dispersion.expected_misses(
             status.estimate, self._navigation.is_drifting, until

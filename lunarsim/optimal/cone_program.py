@@ -93,7 +93,10 @@ class QocoSolver:
         self._solver: Any = None
 
     def solve(self, program: Program) -> SolverResult:
-        """Solve a cone program with the same sparsity pattern and cones as the first one."""
+        """Solve a cone program with the same sparsity pattern and cones as the first one.
+
+        The status of the result is "solved" or "failed".
+        """
         p = program
         if self._solver is None:
             self._solver = qoco.QOCO()
@@ -128,7 +131,10 @@ class ClarabelSolver:
         self.max_iterations = max_iterations
 
     def solve(self, program: Program) -> SolverResult:
-        """Solve a cone program and return its solution, or a proof of infeasibility."""
+        """Solve a cone program and return its solution, or a proof of infeasibility.
+
+        The status of the result is "solved", "infeasible" or "failed".
+        """
         p = program
         settings = clarabel.DefaultSettings()
         settings.verbose, settings.max_threads, settings.max_iter = False, 1, self.max_iterations
@@ -194,7 +200,10 @@ class FallbackSolver:
         self.fallback_count = 0
 
     def solve(self, program: Program) -> SolverResult:
-        """Solve a cone program with the same sparsity pattern and cones as the first one."""
+        """Solve a cone program with the same sparsity pattern and cones as the first one.
+
+        The status of the result is "solved", "infeasible" or "failed".
+        """
         answer = self.fast.solve(program)
         if answer.status == "solved":
             return answer
@@ -208,18 +217,24 @@ class FallbackSolver:
 
 
 class QocoOnlySolver:
-    """Solver QOCO for cone programs, without a proof of infeasibility.
+    """Solver of cone programs that uses QOCO alone.
+
+    QOCO cannot prove infeasibility: each program that it does not solve, infeasible or not, has the
+    status "unsolved".
 
     Parameters
     ----------
     max_iterations
-        Maximum number of iterations; then the status is "unsolved".
+        Maximum number of iterations.
     """
 
     def __init__(self, max_iterations: int = 30) -> None:
         self.fast = QocoSolver(max_iterations)
 
     def solve(self, program: Program) -> SolverResult:
-        """Solve a cone program with the same sparsity pattern and cones as the first one."""
+        """Solve a cone program with the same sparsity pattern and cones as the first one.
+
+        The status of the result is "solved" or "unsolved".
+        """
         answer = self.fast.solve(program)
         return answer if answer.status == "solved" else replace(answer, status="unsolved")

@@ -20,7 +20,7 @@ class InfeasibleError(InputError):
     nearest
         Nearest reachable end position found (3,), m, ENU; None if none was found.
     miss
-        Distance of that position from the target, m.
+        Distance of that position from the target, m; inf if none was found.
     """
 
     def __init__(

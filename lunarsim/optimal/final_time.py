@@ -41,7 +41,8 @@ def minimum_effort_time(descent: Descent) -> float:
 
     The minimum of ``int |a_T|^2 dt`` over paths and final times is at the smallest positive root of
     ``g^2/2 T^4 - 2 (v v + v v_f + v_f v_f) T^2 - 12 (v + v_f) d T - 18 d d``, with d from end to
-    start, v and v_f the initial and final velocity, g the gravity (D'Souza 1997).
+    start, v and v_f the initial and final velocity, g the gravity (D'Souza 1997). Without a
+    positive root the result is 1 s.
     """
     d, v, w = descent.displacement, descent.velocity, descent.end_velocity
     squares = float(v @ v + v @ w + w @ w)
@@ -128,7 +129,7 @@ class _FinalTimeSearch:
     def _linearise_slope(self, slope: float) -> float:
         """Transform a cost derivative to a value about linear in the final time.
 
-        The transformation keeps the zero.
+        A derivative of zero stays zero.
         """
         if not np.isfinite(self.limit):
             return slope
@@ -225,7 +226,8 @@ def _search_from_landing_error(
 ) -> OptimalPath:
     """Search the minimum-propellant path near the time of minimum landing error.
 
-    If propellant is scarce, few final times are feasible; the landing error leads to them.
+    If propellant is scarce, few final times are feasible; the landing error leads to them. Raise
+    InfeasibleError if no path is found.
     """
     near = nearest(planner, descent, half_spaces=half_spaces)
     if near is not None and near.miss < max(10.0 * _LANDING_ERROR_TOLERANCE_M, descent.region):
@@ -274,6 +276,10 @@ def remaining_log_mass(last: OptimalPath, elapsed: float, intervals: int) -> Arr
 def _search_cold(
     planner: Planner, descent: Descent, half_spaces: HalfSpaces | None
 ) -> OptimalPath | None:
+    """Search the minimum-propellant path without a last solution; None if infeasible.
+
+    The first final times are multiples of the time of the minimum-effort path.
+    """
     first = minimum_effort_time(descent)
     return search_near(
         planner, descent, (s * first for s in _TIME_FACTORS), half_spaces=half_spaces
@@ -308,6 +314,11 @@ def search_near(
         Maximum relative first step from the first feasible final time.
     curvature_guess
         Second derivative of the cost by the final time for a similar problem; 0: unknown.
+
+    Raises
+    ------
+    SolverError
+        If none of the final times `first` is feasible, and the solver failed at one of them.
     """
     search, best, failure = _FinalTimeSearch(descent.gravity, step, curvature_guess), None, None
     converged, budget = False, np.inf
@@ -346,8 +357,8 @@ def nearest(
 ) -> OptimalPath | None:
     """Return the path that ends nearest to the target; None if no landing is possible.
 
-    Only the height of the end is fixed. Thrust slack (thrust above the maximum) has no penalty
-    here. `half_spaces` replace the cone of the descent.
+    Height and velocity of the end are fixed, its horizontal position is free. Thrust slack (thrust
+    above the maximum) has no penalty here. `half_spaces` replace the cone of the descent.
     """
     if descent.thrust_slack > 0.0:
         descent = replace(

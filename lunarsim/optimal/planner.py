@@ -139,6 +139,10 @@ class Planner:
         half_spaces: HalfSpaces | None,
         nearest: bool,
     ) -> OptimalPath | None:
+        """Solve the cone program for `log_mass` once; None if no path is found.
+
+        The arguments are those of `at_time`. Raise SolverError if the solver fails.
+        """
         structure = ProgramStructure(
             self.intervals,
             descent.max_tilt is not None or descent.max_final_tilt is not None,

@@ -99,10 +99,10 @@ class TerrainRaster:
         return np.where(inside, (1.0 - t) * low + t * high, np.nan)
 
     def majorant(self, end: ArrayLike, sectors: int = 12, clearance: float = 0.0) -> Cone:
-        """Return a convex cone above all terrain plus a clearance, from an end point.
+        """Return a convex cone above all terrain, with its apex at the end of a path.
 
         `end` (3,) is the end of the path, ENU, m; the cone has one half-space per azimuth sector.
-        `clearance` is in m.
+        `clearance`, m, is added to the terrain.
 
         No half-space slopes downward: terrain below the end is not followed.
 
@@ -181,7 +181,7 @@ class TerrainRaster:
         """Return slopes and height at the origin (3,) of a plane above nearby terrain.
 
         `posts` (n, 3) are terrain points; those within `reach` (m, horizontal) of the point
-        `centre` are used.
+        `centre` are used. Raise InputError if there are fewer than three.
         """
         near = posts[np.hypot(*(posts[:, :2] - centre[:2]).T) <= reach]
         if len(near) < 3:
@@ -278,6 +278,7 @@ def _initial_paths(
 
 
 def _check_clearance(clearance: float) -> None:
+    """Raise InputError if a clearance is negative or not finite."""
     if not (is_number(clearance) and clearance >= 0.0):
         raise InputError("optimal.clearance", clearance, "must be 0 or more and finite")
 
@@ -315,11 +316,12 @@ def _linearise_terrain(
     rounds: int,
     is_last: bool,
 ) -> OptimalPath | None:
-    """Linearise the terrain about a path until both agree; None if no path is found.
+    """Plan repeatedly above the terrain, each time linearised about the last path.
 
-    `path` is the first path, `rounds` the maximum number of linearisations, `clearance` the minimum
-    height above the terrain, m. A path outside the grid raises an error if `is_last`: no other path
-    or start is left.
+    `path` is the first path, `rounds` the maximum number of linearisations; the search ends when
+    the delta-v converges. The result is the best path that is at least `clearance`, m, above the
+    terrain, or None if there is none. A path outside the grid raises an error if `is_last`: no
+    other path or start is left.
     """
     best: OptimalPath | None = None
     for _ in range(rounds):

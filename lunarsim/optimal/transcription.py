@@ -210,6 +210,7 @@ class Transcription:
         self.cones = tuple(cones)
 
     def _add(self, name: str, columns: Indices) -> None:
+        """Append a group of constraints with the matrix columns of each row."""
         begin = max((r.stop for r in self.rows.values()), default=0)
         self.rows[name] = slice(begin, begin + len(columns))
         self._columns[name] = columns
@@ -227,9 +228,10 @@ class Transcription:
         return np.concatenate(parts, axis=1)
 
     def _dynamics(self) -> sparse.csc_matrix:
-        """Return the matrix of the equality constraints: dynamics, then both ends.
+        """Return the matrix of the equality constraints: dynamics, then end states.
 
-        The dynamics are positions as integrals of velocities.
+        The dynamics are positions as integrals of velocities; the end states are the initial and
+        the final state.
         """
         n, node, s = self.structure.intervals, self._node, self.structure
         half = 0.5 / n
@@ -353,9 +355,10 @@ class Transcription:
         return out
 
     def _control_point_entries(self, coefficients: Array) -> Array:
-        """Return matrix entries (n, 2 k or 3 k) for constraints on control points.
+        """Return the matrix entries for constraints on control points.
 
-        `coefficients` (n, k) multiply the coordinates of the control points.
+        `coefficients` (n, k) multiply the coordinates of the control points. The result has n rows
+        and 2 k columns, or 3 k columns if the end of the path is free.
         """
         half = 0.5 / self.structure.intervals
         parts = [coefficients, half * coefficients] + (
@@ -368,7 +371,8 @@ class Transcription:
     ) -> dict[str, tuple[Array, Array]]:
         """Return entries and right-hand sides of maximum and minimum thrust constraints.
 
-        They hold at the interval centres.
+        They hold at the interval centres, and are linearised about `log_mass` (N,), ln(mass /
+        initial mass).
         """
         k = units.kappa
         unit_acceleration = self._unit_force(descent, units) * np.exp(-log_mass)

@@ -81,6 +81,8 @@ def modules_allowed(names: Iterable[str]) -> Iterator[None]:
 def find_module_names(texts: Iterable[str | None]) -> list[str]:
     """Return the modules of all "module:Class" in texts such as command options.
 
+    Texts without one, and None, are ignored.
+
     Examples
     --------
     >>> find_module_names(["policy=my_package.own:Mine", "rocks.cover=0.1", None])

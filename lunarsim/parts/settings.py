@@ -49,7 +49,8 @@ class PartSettings(BaseModel):
     ) -> InputError:
         """Return a copy of an error that names the scenario key and its value.
 
-        `keys` maps scenario keys to field names and their descriptions.
+        `keys` maps scenario keys to field names and their descriptions. If the error's field is not
+        among them, only the names of tables before the field are removed.
         """
         wrong = error.field.rpartition(".")[2]
         for key, (name, _) in keys.items():
@@ -142,7 +143,10 @@ def table_of(part: Any) -> PartSettings:
 
 
 def _fill_omitted_keys(default: PartSettings, given: Any) -> Any:
-    """Complete a nested table by the values of `default` for omitted keys."""
+    """Complete a nested table `given` by the values of `default` for omitted keys.
+
+    A value that is not a table is returned unchanged.
+    """
     return dict(default) | dict(given) if isinstance(given, Mapping) else given
 
 

@@ -165,8 +165,9 @@ def rock_hit(ox, oy, oz, dx, dy, dz, rocks, n, planes, count):
 def cast_on_plane(origin, direction, rocks, planes, count, distance, normal):
     """Intersect rays with rock 0 and the plane z = 0; write distances and normals.
 
-    `origin` and `direction` (n, 3) are the rays. `distance` (n,), m, is inf where rock and plane
-    are missed; `normal` (n, 3) is the unit normal at the hit.
+    `origin` and `direction` (n, 3) are the rays; `rocks` are rows of `RockField.rows`; `planes` and
+    `count` are those of `ShapeTable`. `distance` (n,), m, and `normal` (n, 3) receive the nearer
+    hit. A ray that misses both gets the distance inf and the normal (0, 0, 1).
     """
     for i in range(origin.shape[0]):
         ox, oy, oz = origin[i, 0], origin[i, 1], origin[i, 2]

@@ -119,6 +119,9 @@ class RockExpectation(RockModel):
         return rocks
 
     def model(self) -> RockModel:
-        """Return the expected statistics of the rocks' shapes and burial."""
+        """Return the expected statistics of the rocks' shapes and burial.
+
+        Hemispheres have no burial.
+        """
         burial = (0.0, 0.0) if self.shape == "hemisphere" else self.burial
         return RockModel(self.shape, self.height_ratio, burial, self.axis_ratio)

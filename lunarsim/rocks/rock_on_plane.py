@@ -34,8 +34,8 @@ class RockOnPlane:
     def cast(self, origin: Array, direction: Array) -> tuple[Array, Array]:
         """Intersect rays with the rock and the plane.
 
-        `origin` and `direction` (n, 3) are the rays. Returns distances (n,), m, inf for the sky,
-        and unit normals at the hits (n, 3).
+        `origin` and `direction` (n, 3) are the rays. Returns distances (n,), m, and unit normals at
+        the hits (n, 3). Rays that hit nothing have the distance inf and the normal (0, 0, 1).
         """
         distance = np.empty(len(origin))
         normal = np.empty((len(origin), 3))
@@ -47,7 +47,10 @@ class RockOnPlane:
         return distance, normal
 
     def covers(self, xy: Array) -> BoolArray:
-        """Return which points `xy` (..., 2), m, of the plane the rock covers from above."""
+        """Return which points of the plane lie under the rock, seen from above.
+
+        `xy` (..., 2) are the points, m; the result has the shape (...,).
+        """
         start = np.column_stack((xy.reshape(-1, 2), np.full(xy.size // 2, 60.0)))
         down = np.broadcast_to([0.0, 0.0, -1.0], start.shape)
         distance, _ = self.cast(start, np.ascontiguousarray(down))

@@ -58,9 +58,10 @@ HALF = np.float32(0.5 * (BLOCK - 1))
 
 @kernel()
 def _median(values, ascending):
-    """Return the median of a small array; the mean of the middle two if even.
+    """Return the median of the numbers in a small array `values` (rows, cols).
 
-    `ascending` is a buffer for the sorted values.
+    An even number of values gives the mean of the middle two. `ascending` is a buffer (at least
+    rows * cols,) for the sorted values.
     """
     count = 0
     for i in range(values.shape[0]):
@@ -75,10 +76,11 @@ def _median(values, ascending):
 def large_scale_gradients(z, inside, half_baseline, out):
     """Write large-scale terrain gradients of 8 x 8 cell squares, m per cell.
 
-    `z` (rows, cols) is the elevation, `out` (2, n, k) the gradient of each square to the east and
-    north. The height difference per cell between points `half_baseline` cells to either side is
-    filtered by the median over the square, then over the neighbouring squares, so that rocks and
-    ripples have no effect. Only heights `inside` (first and last row and column) are used.
+    `z` is the elevation, m; `out` (2, n, k) receives the gradients of n x k squares to the east and
+    to the north. The height difference per cell between points `half_baseline` cells to either side
+    is filtered by the median over the square, then over the 3 x 3 squares around it, so that rocks
+    and ripples have no effect. Only heights in the rows and columns `inside` (first row, last row,
+    first column, last column) are used.
     """
     _, rows, cols = out.shape
     bottom, top, left, right = inside
@@ -106,10 +108,11 @@ def large_scale_gradients(z, inside, half_baseline, out):
 
 @kernel(fast=True)
 def block_gradients(slopes, out):
-    """Interpolate one gradient component from squares to the block of each cell.
+    """Interpolate one gradient component from large squares to the block of each cell.
 
-    `slopes` (n, k) are values at the centres of squares of SQUARE x SQUARE cells, `out` (rows,
-    cols) at the centre of the BLOCK x BLOCK cells to the north-east of each cell.
+    `slopes` (n, k) are the values at the centres of squares of SQUARE x SQUARE cells. `out` (rows,
+    cols) receives the values at the centre of the BLOCK x BLOCK cells to the north-east of each
+    cell of the window.
     """
     rows, cols = slopes.shape
     tall, wide = out.shape
@@ -135,9 +138,10 @@ def block_gradients(slopes, out):
 def _write_lids(z, slopes, height, east, north):
     """Write the bounding plane (lid) of the block to the north-east of each cell.
 
-    The lid is the lowest plane above all cells of the block that has the large-scale gradient
-    `slopes`. `height`, `east` and `north` (rows cols,) are its height at the block's centre, m, and
-    its gradient per cell.
+    The lid is the lowest plane above all cells of the block that has the large-scale terrain
+    gradient, interpolated from `slopes` (2, n, k). `z` (rows, cols) is the elevation, m. `height`,
+    `east` and `north` (rows * cols,) receive the lid's height at the block's centre, m, and its
+    gradient per cell; `height` is not written for the last cells, whose block is incomplete.
     """
     tall, wide = z.shape
     flat = z.reshape(z.size)
@@ -175,10 +179,11 @@ def _write_raised_lids(window, site, corners, lids):
 
 @kernel(inline=True)
 def _lid_above_plane(lids, blocks, centres, n, gx, gy):
-    """Return the height bound of block `n` above planes through sixteen sites.
+    """Return the height bound of block `n` minus the rise of planes to its centre.
 
-    `lids` are the height bounds from `_write_raised_lids`, (gx, gy) the planes' gradients per cell;
-    `blocks` and `centres` are `corner_index` and `centres` of `PolygonBlocks`.
+    The planes start from height 0 at sixteen sites and have the gradients (gx, gy) per cell. `lids`
+    are the height bounds from `_write_raised_lids`; `blocks` and `centres` are `corner_index` and
+    `centres` of `PolygonBlocks`. The caller adds the effect of the gradients within the block.
     """
     lid = load(lids, item(blocks, n) * SIMD_WIDTH)
     return lid - item(centres, 2 * n) * gx - item(centres, 2 * n + 1) * gy
@@ -186,11 +191,12 @@ def _lid_above_plane(lids, blocks, centres, n, gx, gy):
 
 @kernel(inline=True)
 def _max_in_block(z, site, columns, polygon, n, gx, gy):
-    """Return the maximum height of block `n` above planes through sixteen sites.
+    """Return the maximum terrain height in block `n` above planes at sixteen sites.
 
-    Only cells in the polygon of the legs count: `polygon` are `corners` and `allowed` of
-    `PolygonBlocks`. `z` has `columns` columns, `site` is the index of the first site, and (gx, gy)
-    are the planes' gradients per cell.
+    The planes have height 0 at their sites and the gradients (gx, gy) per cell. Only cells in the
+    polygon of the legs count: `polygon` is (`corners`, flattened, and `allowed`) of
+    `PolygonBlocks`. `z` is the flat elevation of a window with `columns` columns, m, and `site` the
+    index of the first site in it.
     """
     corners, allowed = polygon
     south, west = item(corners, 2 * n), item(corners, 2 * n + 1)
@@ -207,10 +213,11 @@ def _max_in_block(z, site, columns, polygon, n, gx, gy):
 
 @kernel(inline=True)
 def _max_in_four_blocks(z, site, columns, polygon, n, gx, gy, lid_heights, threshold):
-    """Return the maximum of `_max_in_block` over blocks `n` to n + 3.
+    """Return the maximum height of blocks `n` to n + 3 above planes at sixteen sites.
 
-    Blocks whose `lid_heights` (upper bounds) are below `threshold` at all sixteen sites are
-    skipped.
+    The planes have height 0 at their sites and the gradients (gx, gy) per cell; the other arguments
+    are those of `_max_in_block`. A block is skipped if its upper bound in `lid_heights` does not
+    exceed `threshold` at any site; if all four are skipped, the result is -FAR.
     """
     a, b, c, d = lid_heights
     top = lane_fill(-FAR)
@@ -229,7 +236,8 @@ def _max_in_four_blocks(z, site, columns, polygon, n, gx, gy, lid_heights, thres
 def _stride(headings):
     """Return an index step that visits all headings, distant headings first.
 
-    A few distant headings approximate the roughness of a site, so that others can be skipped.
+    `headings` is their number. The first few headings, far apart, nearly find the maximum
+    roughness of a site, so that most blocks of cells can be skipped at the other headings.
     """
     stride = max(1, round(0.382 * headings))
     while math.gcd(stride, headings) > 1:
@@ -241,8 +249,9 @@ def _stride(headings):
 def _steepest(feet, site, legs, footprint, posting, out):
     """Write the maximum tan(slope) over headings and support planes of sixteen sites.
 
-    `feet` holds the terrain height under a pad, `site` is the index of the first site, and `legs`
-    are the index offsets of the legs for each heading.
+    `out` (16,) receives the maxima. `feet` holds the terrain height under a pad centred on each
+    cell, m, `site` is the index of the first site, and `legs` are the index offsets of the legs for
+    each heading. `footprint` is a `FootprintArrays`, `posting` the grid spacing, m.
     """
     inverse, first_leg = footprint.inverse, footprint.first_leg
     steepest = lane_fill(0.0)
@@ -255,7 +264,11 @@ def _steepest(feet, site, legs, footprint, posting, out):
 
 @kernel()
 def _drop_steep(tangent, limit, skip):
-    """Set `skip` to FAR where tan(slope) reaches `limit`; return if any site is left."""
+    """Skip sites with tan(slope) of at least `limit`; return whether any is left.
+
+    `tangent` (16,) is tan(slope) of each site. `skip` (16,), which is FAR for sites to skip, is set
+    to FAR for these sites.
+    """
     left = False
     for k in range(SIMD_WIDTH):
         if tangent[k] >= limit:
@@ -271,9 +284,12 @@ def _write_roughness(
 ):  # fmt: skip
     """Write the maximum roughness of sixteen sites over headings and support planes.
 
-    The rows of `lanes` are FAR for sites to skip, tan(slope), roughness (result), and the margin
-    for rounding. `lids` are height bounds from `_write_raised_lids`, `start` is the first heading.
-    The heading that raised the roughness last is returned.
+    The rows of `lanes` (4, 16) are: FAR for sites to skip, else 0; tan(slope), which is raised to
+    its maximum over the headings examined; roughness, m (result); and the margin for rounding, m.
+    `window` is from `_prepare_tile`, `site` the index of the first site in it, `lids` are height
+    bounds from `_write_raised_lids`. With `classify_only`, the roughness is at least the limit, and
+    the loop ends when all sites exceed it. Headings are examined from index `start` on; the index
+    of the heading that raised a roughness last is returned.
     """
     z, feet = window[0], window[1]
     ex, ey = load(window[3], site), load(window[4], site)
@@ -330,9 +346,10 @@ _ROUNDING = np.float32(2e-6)
 def _select_sites(selected, footprint_max, row, first_col, lanes):
     """Write which of sixteen sites to evaluate, and rounding margins, into `lanes`.
 
-    The sites are in row `row` from column `first_col` on; the rows of `lanes` are as in
-    `_write_roughness`. A margin is proportional to `footprint_max`, the maximum height of a site's
-    footprint, FAR where unknown. The result is whether any site is to be evaluated.
+    The sites are in row `row` of the tile from column `first_col` on. lanes[0] becomes 0 for
+    `selected` sites with known footprints, else FAR. lanes[3] becomes the margin, m: it is
+    proportional to `footprint_max` (rows, cols), the maximum absolute height of each site's
+    footprint, FAR where unknown. The function returns whether any site is to be evaluated.
     """
     found = False
     for k in range(SIMD_WIDTH):
@@ -348,10 +365,11 @@ def _select_sites(selected, footprint_max, row, first_col, lanes):
 def _prepare_tile(z, middle, footprint, r0, c0, window, footprint_max):
     """Write the terrain windows of a tile, and the maximum height of each footprint.
 
-    The tile begins at row `r0`, column `c0` of the raster `z`, whose heights have the middle
+    The tile begins at row `r0`, column `c0` of the raster `z`, m, whose heights have the middle
     `middle`. `window` (5, rows, cols) becomes elevation, terrain under pads, and height and
-    gradient (2) of each block's bounding plane. `footprint_max` is FAR where a footprint contains
-    unknown terrain or leaves the raster.
+    gradient (2) of each block's bounding plane. Heights are relative to the tile's reference
+    height; unknown terrain is 0. `footprint_max` (sites of the tile) becomes the maximum absolute
+    height, FAR where a footprint contains unknown terrain or leaves the raster.
     """
     reach = footprint.reach
     _, tall, wide = window.shape
@@ -392,9 +410,11 @@ def _exact_tile(
 ):  # fmt: skip
     """Write the maximum tan(slope) and roughness of the `selected` sites of a tile.
 
-    The maximum is over headings and support planes. With `classify_only`, a site is finished when a
-    limit is exceeded. `window` and `footprint_max` are from `_prepare_tile`; the other arguments
-    are as in `exact`.
+    The maximum is over headings and support planes; `slope_out` and `rough_out` (sites of the tile)
+    receive it. Sites that are not selected or have unknown terrain in their footprint are not
+    written. With `classify_only`, a site is finished when a limit is exceeded. `window` and
+    `footprint_max` are from `_prepare_tile`; `footprint` and `polygon_blocks` are `FootprintArrays`
+    and `PolygonBlocks`, `posting` is the grid spacing, m; limits are those of `exact`.
     """
     columns = window.shape[2]
     flat = window.reshape(5, window.shape[1] * columns)
@@ -446,10 +466,13 @@ def exact(
 ):
     """Write the maximum tan(slope) and roughness over headings and support planes.
 
-    Only `selected` sites (rows, cols) with known footprints are written. `z` (rows, cols) is the
-    elevation, `middle` the middle of its heights; `thread_slice` is (first tile, step between
-    tiles) of one thread. With `classify_only`, a site is finished as soon as a limit is exceeded;
-    then only the comparison with the limits is valid.
+    `slope_out` and `rough_out` (rows, cols) receive tan(slope) and roughness (m) of the `selected`
+    sites (rows, cols) whose footprints are known; other cells are not written. `z` (rows, cols) is
+    the elevation, m, `middle` the middle of its heights; `footprint` and `polygon_blocks` are
+    `FootprintArrays` and `PolygonBlocks`; `slope_limit` is a tangent, `roughness_limit` is in m.
+    With `classify_only`, a site is finished as soon as a limit is exceeded; then only the
+    comparison with the limits is valid. `thread_slice` is (first tile, step between tiles) of one
+    thread.
     """
     rows, cols = selected.shape
     across, tiles = tiles_of(rows, cols, PLANE_ROWS)

@@ -22,16 +22,15 @@ TILE_COLS = 128
 
 @kernel(inner=True)
 def is_plausible_height(height, middle):
-    """Return whether a height is finite and plausible, near the map's middle height."""
+    """Return whether a height is finite and within 30 km of the map's middle height."""
     return abs(np.float64(height) - middle) <= MAX_RELIEF_M
 
 
 @kernel(inner=True)
 def insert_sorted(ascending, count, value):
-    """Insert a value into the first `count` sorted values of a buffer.
+    """Insert a value into the first `count` values of the sorted buffer `ascending`.
 
-    The order is ascending. For few values this is as fast as a library's sort, which takes a second
-    to compile.
+    For few values this is as fast as a library's sort, which takes a second to compile.
     """
     n = count
     while n > 0 and ascending[n - 1] > value:
@@ -74,11 +73,11 @@ def tile_datum(z, middle, r0, c0, rows, cols):
 
 @kernel(fast=True)
 def load_window(z, middle, datum, r0, c0, out):
-    """Copy a window of the elevation raster `z`, relative to `datum`, as float32.
+    """Copy a window of the elevation raster `z`, minus `datum`, into `out` as float32.
 
-    The window starts at (r0, c0) of the raster; `middle` is the middle of the map's heights.
-
-    Values are FAR off the raster and where unknown. The subtraction precedes the rounding.
+    The window starts at row `r0`, column `c0` of the raster and has the shape of `out`; `middle` is
+    the middle of the map's heights, m. Values are FAR off the raster and where the terrain is
+    unknown. The subtraction precedes the rounding.
     """
     rows, cols = z.shape
     tall, wide = out.shape
@@ -101,7 +100,7 @@ def load_window(z, middle, datum, r0, c0, out):
 
 @kernel(fast=True)
 def load_variance(variance, r0, c0, out):
-    """Copy a window of the variance raster from (r0, c0) into `out`.
+    """Copy a window of the variance raster from row `r0`, column `c0` on into `out`.
 
     Values are FAR off the raster and where the variance is NaN or infinite.
     """
@@ -122,7 +121,10 @@ def load_variance(variance, r0, c0, out):
 
 @kernel(finite=True, inner=True)
 def spread_bounds(mean, variance, high, low):
-    """Write the bounds mean +- 3 sigma of elevations, where known; FAR elsewhere."""
+    """Write mean + 3 sigma of elevations to `high`, mean - 3 sigma to `low`; else FAR.
+
+    Both are FAR where the mean or the variance is unknown (FAR).
+    """
     for i in range(mean.shape[0]):
         for j in range(mean.shape[1]):
             z = mean[i, j]
@@ -134,7 +136,7 @@ def spread_bounds(mean, variance, high, low):
 
 @kernel(finite=True)
 def _negate(source, out):
-    """Write the negative of a raster, or FAR where it is FAR (unknown)."""
+    """Write the negative of `source` to `out`, or FAR where it is FAR (unknown)."""
     for i in range(source.shape[0]):
         for j in range(source.shape[1]):
             z = source[i, j]
@@ -153,7 +155,10 @@ def allocate_levels(footprint, rows, cols):
 
 @kernel(finite=True, inner=True)
 def fill_row_maxima(levels, depth):
-    """Write maxima of levels[0] over windows of 2**k columns to levels[k], k < depth."""
+    """Write maxima of levels[0] over windows of 2**k columns to levels[k], k < depth.
+
+    The window of a cell starts at the cell and ends to the east of it or at the last column.
+    """
     _, rows, cols = levels.shape
     for k in range(1, depth):
         width = 1 << (k - 1)
@@ -169,7 +174,10 @@ def fill_row_maxima(levels, depth):
 
 @kernel(finite=True, inner=True)
 def fill_column_maxima(levels, depth):
-    """Write maxima of levels[0] over windows of 2**k rows to levels[depth - 1 + k]."""
+    """Write maxima of levels[0] over windows of 2**k rows to levels[depth - 1 + k].
+
+    The window of a cell starts at the cell and ends to the north of it or at the last row.
+    """
     deep, rows, cols = levels.shape
     for k in range(1, deep - depth + 1):
         before = levels[depth - 2 + k] if k > 1 else levels[0]
@@ -184,17 +192,21 @@ def fill_column_maxima(levels, depth):
 
 @kernel(inner=True)
 def fill_maxima(levels, footprint):
-    """Write the maxima over all windows along rows and columns, from levels[0]."""
+    """Write maxima of levels[0] over windows of 2, 4, ... cells to the other levels.
+
+    `levels` is from `allocate_levels`: windows along rows are first, windows along columns last.
+    """
     fill_row_maxima(levels, footprint.depth)
     fill_column_maxima(levels, footprint.depth)
 
 
 @kernel(inner=True)
 def write_footprint_max(levels, depth, window_pairs, reach, out):
-    """Write the maximum over the footprint around each cell of a tile.
+    """Write the maximum over the footprint around each cell of a tile to `out`.
 
     The footprint is the union of `window_pairs` (4 n, 5), as in `Footprint`. `levels` are the
-    maxima over windows (`fill_maxima`), and `reach` is the offset of the tile's first cell in them.
+    maxima over windows (`fill_maxima`) with `depth` levels along rows. Row and column `reach` of a
+    level correspond to the first cell of `out` (rows, cols).
     """
     _, tall, wide = levels.shape
     rows, cols = out.shape
@@ -229,7 +241,7 @@ def write_footprint_max(levels, depth, window_pairs, reach, out):
 
 @kernel(inline=True)
 def _max_over_windows(flat, first, second, site, best):
-    """Write the maximum over a footprint around sixteen neighbouring sites.
+    """Write the maximum over a footprint around sixteen neighbouring sites to `best`.
 
     `flat` are the flattened maxima over windows; `first` and `second` are the index offsets of the
     two windows of each pair; `site` is the index of the first site.
@@ -244,7 +256,10 @@ def _max_over_windows(flat, first, second, site, best):
 
 @kernel(inline=True)
 def _max_over_windows_64(flat, first, second, site, best, offset):
-    """Write `_max_over_windows` of 64 neighbouring sites, from best[offset] on."""
+    """Write the maximum over a footprint around 64 neighbours to best[offset:].
+
+    The other arguments are those of `_max_over_windows`, which does this for sixteen sites.
+    """
     a = lane_fill(-FAR)
     b = a
     c = a
@@ -280,7 +295,8 @@ def tiles_of(rows, cols, tile_rows):
 def tile_at(tile, across, tile_rows, rows, cols):
     """Return first and end row, first and end column of a tile of a raster.
 
-    `tile` is its index, `across` the number of tiles side by side, `tile_rows` its number of rows.
+    The ends are exclusive. The raster has `rows` x `cols` cells; `tile` is the tile's index,
+    `across` the number of tiles in a row of tiles, and `tile_rows` the rows of a tile.
     """
     r0, c0 = (tile // across) * tile_rows, (tile % across) * TILE_COLS
     return r0, min(r0 + tile_rows, rows), c0, min(c0 + TILE_COLS, cols)
@@ -323,8 +339,9 @@ def footprint_extremes(thread_slice, z, middle, footprint, span, rise):
 def _write_span_and_rise(leg, body, span, rise):
     """Write span and rise (Eq. 10 of the Gaussian DEM paper) of a tile.
 
-    `leg` (2, rows, cols) holds the maxima of z and of -z over the cells of the legs, `body` the
-    maximum of z over the cells under the lander.
+    `leg` (2, rows, cols) holds the maxima of z and of -z over the cells that a pad may touch,
+    `body` (rows, cols) the maximum of z over the cells under the lander. `span` and `rise` (rows,
+    cols) receive the results, FAR where the footprint is not completely known.
     """
     for i in range(span.shape[0]):
         for j in range(span.shape[1]):
@@ -357,8 +374,10 @@ def _write_safety(
 ):
     """Write the safety probabilities of Eq. 17 (Gaussian DEM paper) for a tile.
 
-    `leg`, `foot` and `body` (2, rows, cols) are maxima over the upper and the lower 3-sigma bound:
-    of z and of -z over the cells of the legs, and of z over the cells under the lander.
+    Each of `leg`, `foot` and `body` (2, rows, cols) holds maxima of the upper and of the lower
+    3-sigma bound of the height: `leg` of the bound and `foot` of its negative over the cells that a
+    pad may touch, `body` of the bound over the cells under the lander. The last four arguments
+    (rows, cols) are written: probabilities, 0 where the footprint is not known, and whether it is.
     """
     sixth, half = np.float32(1.0 / 6.0), np.float32(0.5)
     for i in range(p_slope.shape[0]):
@@ -387,10 +406,11 @@ def stochastic(
 ):  # fmt: skip
     """Write the safety probabilities of a lander at each cell, by a horizontal plane.
 
-    These are Eqs. 15 to 17 of the Gaussian DEM paper; `observed` is True where the footprint is
-    known terrain. `mean` and `variance` are the elevation, `middle` is the middle of its heights,
-    m; `slope_margin` and `roughness_limit` are limits of height differences, m. `thread_slice` is
-    (first tile, step between tiles) of one thread.
+    These are Eqs. 15 to 17 of the Gaussian DEM paper. `p_slope`, `p_rough` and their product
+    `p_safe` (rows, cols) are written, 0 where unobserved; `observed` is written as True where the
+    footprint is known terrain. `mean` (m) and `variance` (m^2) are those of the elevation, `middle`
+    is the middle of its heights, m; `slope_margin` and `roughness_limit` are limits of height
+    differences, m. `thread_slice` is (first tile, step between tiles) of one thread.
     """
     rows, cols = mean.shape
     reach = footprint.reach

@@ -41,9 +41,10 @@ from lunarsim.safety._kernels import (
 def support_plane(feet, site, legs, inverse, first_leg, heading, plane):
     """Return gradient (per cell) and centre height of a support plane at 16 sites.
 
-    The legs stand on `feet`, the terrain height under a pad centred on each cell. `site` is the
-    index of the first site, `legs` are the index offsets of the legs by heading; `inverse` and
-    `first_leg` are those of `FootprintArrays`; `heading` and `plane` are indices.
+    The results are the gradients to the east and to the north and the height, m. The legs stand on
+    `feet`, the terrain height under a pad centred on each cell. `site` is the index of the first
+    site, `legs` are the index offsets of the legs by heading; `inverse` and `first_leg` are those
+    of `FootprintArrays`. `heading` is an index; `plane` is 0 or, for four legs, 0 or 1.
     """
     za = load(feet, site + legs[heading, 0])
     zb = load(feet, site + legs[heading, 1])
@@ -88,35 +89,23 @@ def squared_tangent(gx, gy, posting):
 
 @kernel(inline=True)
 def _block_above_plane(tops, site, blocks, centres, n, gx, gy):
-    """Return the maximum height of block `n` above planes through sixteen sites.
+    """Return the maximum height of block `n` minus the plane's height at its centre.
 
-    `tops` are the maximum heights of blocks, `site` is the index of the first site, `blocks` and
-    `centres` are the offsets of corners and centres from it; (gx, gy) are the planes' gradients
-    per cell.
+    There is one plane for each of sixteen sites, with height 0 at the site and the gradient (gx,
+    gy) per cell. `tops` are the maximum terrain heights of blocks, `site` is the index of the first
+    site, and `blocks` and `centres` are the offsets of the blocks' corners and centres from a site.
     """
     top = load(tops, site + item(blocks, n))
     return top - item(centres, 2 * n) * gx - item(centres, 2 * n + 1) * gy
 
 
 @kernel(inline=True)
-def _four_blocks_above_plane(tops, site, blocks, centres, n, gx, gy):
-    """Return `_block_above_plane` of blocks `n` to n + 3."""
-    a = _block_above_plane(tops, site, blocks, centres, n, gx, gy)
-    b = _block_above_plane(tops, site, blocks, centres, n + 1, gx, gy)
-    c = _block_above_plane(tops, site, blocks, centres, n + 2, gx, gy)
-    d = _block_above_plane(tops, site, blocks, centres, n + 3, gx, gy)
-    return a, b, c, d
-
-
-@kernel(inline=True)
-def _highest(four):
-    a, b, c, d = four
-    return lane_max(lane_max(a, b), lane_max(c, d))
-
-
-@kernel(inline=True)
 def _max_block_above_plane(tops, site, blocks, centres, start, stop, gx, gy):
-    """Return the maximum of `_block_above_plane` over blocks `start` to `stop` - 1."""
+    """Return the maximum height above planes of blocks `start` to `stop` - 1.
+
+    The height of a block is its maximum terrain height minus the height of the plane at its centre.
+    The arguments are as in `_block_above_plane`.
+    """
     top = lane_fill(-FAR)
     for n in range(start, stop, 4):
         a = _block_above_plane(tops, site, blocks, centres, n, gx, gy)
@@ -135,16 +124,17 @@ PLANE_ROWS = 32  # rows of a tile in the kernels that evaluate planes
 def window_shape(footprint, rows, cols):
     """Return rows and columns of the elevation window of a tile of sites.
 
-    The window includes the `footprint` around the sites, and spare cells that may be read.
+    The tile has `rows` x `cols` sites. The window adds the reach of the `footprint` on each side,
+    and spare rows and columns at the end, because kernels load sixteen neighbouring cells at once.
     """
     return rows + 2 * footprint.reach + AHEAD, cols + 2 * footprint.reach + SIMD_WIDTH
 
 
 @kernel(inner=True)
 def clear_unknown(window):
-    """Set unknown terrain to height 0, the reference height of the tile.
+    """Set unknown terrain (FAR) in a window to height 0, the tile's reference height.
 
-    Footprints that contain unknown terrain are marked as unobserved elsewhere.
+    Other functions mark footprints that contain unknown terrain as unobserved.
     """
     for i in range(window.shape[0]):
         for j in range(window.shape[1]):
@@ -156,7 +146,8 @@ def clear_unknown(window):
 def terrain_under_pads(levels, window, footprint, feet):
     """Write the highest terrain under a pad centred on each cell, 0 near the edge.
 
-    `window` is the elevation, `feet` the result, `levels` a buffer from `allocate_levels`.
+    `window` (rows, cols) is the elevation, m; `feet` (rows, cols) receives the result; `levels` is
+    a buffer from `allocate_levels`, which is overwritten.
     """
     n = footprint.pad_reach
     tall, wide = window.shape
@@ -174,7 +165,10 @@ def terrain_under_pads(levels, window, footprint, feet):
 
 @kernel(inner=True)
 def block_tops(window, block, out):
-    """Write the maximum height of the `block` x `block` cells north-east of each cell."""
+    """Write the maximum height of the block of cells north-east of each cell to `out`.
+
+    A block has `block` x `block` cells and includes the cell; it ends at the window's edges.
+    """
     rows, cols = window.shape
     line = np.empty(cols, np.float32)
     for i in range(rows):
@@ -203,8 +197,13 @@ def _bound_sites(
 ):  # fmt: skip
     """Return maximum tan(slope)^2 and an upper bound of roughness at sixteen sites.
 
-    `half_width` is half the distance between the outermost cells of a block; the other arguments
-    are as in `support_plane`, `_block_above_plane` and `_bound_tile`.
+    The maxima are over headings and support planes. `tops` are the maximum terrain heights of
+    blocks of cells, `feet` the terrain heights under a pad, m, and `site` is the index of the first
+    site. `legs`, `blocks` and `centres` are offsets of legs, block corners and block centres from a
+    site; `first` (headings + 1,) is the index of the first block of each heading. `inverse` and
+    `first_leg` are those of `FootprintArrays`. `half_width` is half the distance between the
+    outermost cells of a block, cells. With `vertical`, roughness is vertical, otherwise along the
+    plane's normal.
     """
     steepest = lane_fill(0.0)
     worst = lane_fill(0.0)
@@ -230,8 +229,10 @@ def _bound_tile(
 ):
     """Write the exact tan(slope) and an upper bound of roughness of a tile's sites.
 
-    `tops` are the maximum heights of blocks of `block` cells, `feet` the terrain heights under a
-    pad. With `vertical`, heights are measured vertically, not along the plane's normal.
+    `slope_out` and `rough_out` (sites of the tile) receive the results. `tops` are the maximum
+    heights of the blocks of `block` x `block` cells north-east of each cell, `feet` the terrain
+    heights under a pad centred on each cell, m. With `vertical`, roughness is measured vertically,
+    otherwise along the plane's normal.
     """
     rows, cols = slope_out.shape
     wide = feet.shape[1]
@@ -266,10 +267,10 @@ def bounded(
 ):
     """Write exact tan(slope) and an upper bound of roughness around each cell.
 
-    The bound uses the maxima of blocks of `block` cells. `z` (rows, cols) is the elevation,
-    `middle` the middle of its heights, m. Both results are invalid where a footprint contains
-    unknown terrain or leaves the raster. `thread_slice` is (first tile, step between tiles) of one
-    thread.
+    `slope_out` and `rough_out` (rows, cols) receive the results, which are invalid where a
+    footprint contains unknown terrain or leaves the raster. The bound, m, uses the maximum heights
+    of blocks of `block` x `block` cells. `z` (rows, cols) is the elevation, `middle` the middle of
+    its heights, m. `thread_slice` is (first tile, step between tiles) of one thread.
     """
     rows, cols = z.shape
     reach = footprint.reach
@@ -292,7 +293,7 @@ def bounded(
 
 @kernel()
 def _gaussian_from_bounds(high, low, mean, sigma):
-    """Write mean and sigma of Gaussians from their 3-sigma bounds `high` and `low`."""
+    """Write `mean` and `sigma` of Gaussians with 3-sigma bounds `high` and `low`."""
     for i in range(high.shape[0]):
         for j in range(high.shape[1]):
             mean[i, j] = np.float32(0.5) * (high[i, j] + low[i, j])
@@ -316,10 +317,12 @@ def stochastic_planes(
 ):
     """Write slope, roughness bounds and leg uncertainty for cells of a Gaussian DEM.
 
-    `slope_out` is tan(slope) and `nominal` a roughness bound for the mean heights of legs and
-    obstacles; `raised` is the bound with all obstacles raised by 3 sigma; `leg_sigma` is the
-    maximum standard deviation of a leg's height. `middle` is the middle of the map's heights, m,
-    and `thread_slice` is (first tile, step between tiles) of one thread.
+    The last four arguments (rows, cols) are written: `slope_out` is tan(slope) and `nominal` a
+    roughness bound, m, for the mean heights of legs and obstacles; `raised` is the bound, m, with
+    all obstacles raised by 3 sigma; `leg_sigma` is the maximum standard deviation of a leg's
+    height, m. An obstacle is the highest terrain in a block of `block` x `block` cells. `mean` (m)
+    and `variance` (m^2) are the elevation, `middle` is the middle of the map's heights, m, and
+    `thread_slice` is (first tile, step between tiles) of one thread.
     """
     rows, cols = mean.shape
     reach = footprint.reach

@@ -24,11 +24,12 @@ def mean_ratios(
 ):
     """Write the mean remaining fraction of undetected rocks above a height (sites,).
 
-    The mean is over the rocks of the size distribution: `numbers` of rocks above `min_diameter` of
-    each class (classes,), and `log_numbers` (n,) at diameters whose logarithms start at
-    `first_log_diameter` and are `log_step` apart. `ratios` (classes + 1, sites) are the fractions
-    that remain in each class, starting with rocks smaller than all classes. `height` (1,) or
-    (sites,), m, is at least `min_height`; NaN gives NaN. `height_ratio` is height over diameter.
+    `out` (sites,) receives the mean over the rocks of the size distribution: `numbers` are the
+    rocks per m^2 above `min_diameter` of each class (classes,), and `log_numbers` (n,) the log of
+    the rocks per m^2 above diameters whose logarithms start at `first_log_diameter` and are
+    `log_step` apart. `ratios` (classes + 1, sites) are the fractions that remain in each class,
+    starting with rocks smaller than all classes. `height` is (1,) or (sites,), m; lower heights
+    count as `min_height`, and NaN gives NaN. `height_ratio` is height over diameter of a rock.
     `thread_slice` is (first site, step between sites) of one thread.
     """
     last = log_numbers.size - 2

@@ -44,8 +44,9 @@ def bounded_safety(
     """Evaluate the exact slope and an upper bound of roughness around each cell.
 
     The roughness bound is the lower of two bounds: by the real support planes and by a horizontal
-    plane. A cell classified as safe is safe by `exact_safety`, and every cell that
-    `conservative_safety` classifies as safe is included; the module docstring has the proof.
+    plane. Each cell that this test classifies as safe is safe by `exact_safety`. Each cell that
+    `conservative_safety` classifies as safe is safe by this test. The module docstring has the
+    proof.
 
     Parameters
     ----------

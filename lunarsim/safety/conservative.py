@@ -30,11 +30,12 @@ class StochasticSafety:
     grid
         Grid of the cells.
     p_slope, p_roughness
-        Probabilities that slope and roughness are below their limits (rows, cols).
+        Probabilities that slope and roughness are below their limits (rows, cols); 0 where not
+        observed.
     p_safe
-        Product of both (rows, cols), the probability of safe terrain; 0 where not observed.
+        Product of `p_slope` and `p_roughness` (rows, cols), the probability of safe terrain.
     observed
-        False where the footprint leaves the map or covers unknown terrain (rows, cols).
+        False where the footprint leaves the map or contains unknown terrain (rows, cols).
     """
 
     grid: Grid
@@ -75,7 +76,8 @@ def level_slope(span: FloatMap, footprint: Footprint) -> FloatMap:
     """Return the upper bound of slope from height differences under the pads, rad.
 
     `span` (rows, cols) is the maximum minus the minimum height over all cells that a pad may touch,
-    m. The bound is Eq. 11 of the Gaussian DEM paper.
+    m. The bound (rows, cols) is Eq. 11 of the Gaussian DEM paper; it is pi/2 where `span` reaches
+    the minimum height of a triangle of legs.
     """
     sine = span / np.float32(footprint.min_triangle_height)
     # The theorem requires a height difference below h0; steeper terrain is unsafe.

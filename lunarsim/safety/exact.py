@@ -33,9 +33,10 @@ class SafetyMap:
     roughness
         Maximum roughness over headings and support planes (rows, cols), m; NaN where not observed.
     safe
-        Whether slope and roughness are below the lander's limits (rows, cols).
+        Whether slope and roughness are below the lander's limits (rows, cols); False where not
+        observed.
     observed
-        False where the footprint leaves the map or covers unknown terrain (rows, cols).
+        False where the footprint leaves the map or contains unknown terrain (rows, cols).
     """
 
     grid: Grid
@@ -67,7 +68,8 @@ def exact_safety(
     lander
         Geometry and limits of the lander.
     heading
-        Azimuth of body x (rad) to evaluate one heading only; omitted: all headings.
+        Azimuth of body x (rad) to evaluate only one heading, the nearest that differs on the grid;
+        omitted: all headings.
 
     Raises
     ------
@@ -104,17 +106,17 @@ def exact_safety(
 
 
 def safe_sites(elevation: ArrayLike, grid: Grid, lander: Lander) -> tuple[BoolMap, BoolMap]:
-    """Return which cells are safe landing sites by the exact test, without slopes.
+    """Return which cells are safe landing sites by the exact safety test.
 
-    This is faster than `exact_safety`, which has the same parameters and errors. Sites that pass
-    the conservative test need no more work; the evaluation of the others stops as soon as a limit
-    is exceeded.
+    This is faster than `exact_safety`, which has the same parameters and errors and also returns
+    the slope and roughness of each cell. Sites that pass the conservative test need no more work;
+    the evaluation of the other sites stops as soon as a limit is exceeded.
 
     Returns
     -------
     safe, observed
-        Whether the lander is safe, and whether its complete footprint is known terrain (rows,
-        cols).
+        Whether a lander centred on each cell is safe, False where not observed, and whether its
+        complete footprint is known terrain; each (rows, cols).
     """
     footprint = footprint_of(lander, grid.posting)
     height = prepare_elevation("elevation", elevation, grid, footprint)
@@ -134,7 +136,7 @@ def height_differences(height: ElevationRaster, footprint: Footprint) -> tuple[F
 
     Both results are (rows, cols). The first is the maximum minus the minimum over L, the cells that
     any pad may touch; the second is the maximum over U, the cells under the lander, minus the
-    minimum over L. Both are `FAR` where the footprint contains unknown terrain.
+    minimum over L. Both are `FAR` where the footprint contains unknown terrain or leaves the map.
     """
     span, rise = np.empty(height.z.shape, np.float32), np.empty(height.z.shape, np.float32)
     k.footprint_extremes(height.double, height.middle, footprint.cells, span, rise)
@@ -149,9 +151,11 @@ def _evaluate(
     posting: float,
     classify_only: bool,
 ) -> tuple[FloatMap, FloatMap]:
-    """Return tan(slope) and roughness (m) of `selected` sites (rows, cols); else NaN.
+    """Return the exact tan(slope) and roughness (m) of the `selected` cells.
 
-    With `classify_only`, values are only valid for comparison with the limits.
+    All three arrays are (rows, cols). Both results are NaN in cells that are not selected or whose
+    footprint is not known terrain. With `classify_only`, the values are only valid for comparison
+    with the limits.
     """
     limit = np.float32(lander.roughness_limit)
     tangent, roughness = (np.full(selected.shape, np.nan, np.float32) for _ in range(2))

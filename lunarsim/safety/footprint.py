@@ -31,8 +31,8 @@ class FootprintArrays(NamedTuple):
     Attributes
     ----------
     legs, pad_windows, stand_windows, leg_windows, body_windows, depth, height, reach
-        Attributes of `Footprint` with the same names: cells of the legs, sets of cells as windows,
-        numbers of window levels, and maximum offset, in cells.
+        Attributes of `Footprint` with the same names: cells of the legs, four sets of cells as
+        windows, numbers of window levels along rows and columns, and maximum offset in cells.
     pad_reach
         Maximum offset of a cell under a pad, cells.
     inverse, first_leg
@@ -63,10 +63,12 @@ class PolygonBlocks(NamedTuple):
     centres
         Columns and rows of the blocks' centres, alternating (2 n,).
     first
-        Index of the first block of each heading (headings + 1,); multiples of four.
+        Index of the first block of each heading (headings + 1,); the last block of a heading is
+        repeated until its number of blocks is a multiple of four, as kernels read four at once.
     allowed
-        0 for each cell of a block that is in the polygon, else far below any terrain
-        (n block block,).
+        Added to the terrain before the maximum of a block is taken (n * block * block,): 0 for
+        cells in the polygon, else -FAR, so that they never count. A block has `block` x `block`
+        cells.
     distinct
         Distinct corners (k, 2): headings share many blocks.
     corner_index
@@ -137,7 +139,7 @@ class Footprint:
     def block_cells(self, side: float, posting: float) -> int:
         """Return the side in cells of square blocks of about `side` metres.
 
-        `posting` is the grid spacing, m.
+        `posting` is the grid spacing, m. The result is at least 1 and at most `reach`.
 
         Raises
         ------
@@ -182,6 +184,11 @@ class Footprint:
 
 
 def _leg_cells(legs: int, radius: float, heading: float) -> IntArray:
+    """Return the cells (row, column) of a lander's legs at one heading (legs, 2).
+
+    `legs` is the number of legs, `radius` their distance from the centre, cells, and `heading` the
+    angle of the first leg from east, counter-clockwise, rad.
+    """
     angle = heading + 2.0 * np.pi * np.arange(legs) / legs
     # The tiny scale rounds half-way cases away from the centre at every heading.
     xy = radius * (1.0 + 1e-12) * np.column_stack((np.sin(angle), np.cos(angle)))
@@ -189,10 +196,10 @@ def _leg_cells(legs: int, radius: float, heading: float) -> IntArray:
 
 
 def _distinct_headings(legs: int, radius: float) -> IntArray:
-    """Return the leg cells of every heading that differs on the grid.
+    """Return the cells of the legs at every heading that differs on the grid.
 
-    The result is (headings, legs, 2); `legs` is the number of legs, `radius` their distance from
-    the centre, cells.
+    The result (headings, legs, 2) holds (row, column) from the lander's centre; `legs` is the
+    number of legs, `radius` their distance from the centre, cells.
     """
     turn = 2.0 * np.pi / legs
     halves = np.arange(int(np.ceil(radius)) + 1) + 0.5
@@ -223,6 +230,10 @@ def polygon_runs(polygon: IntArray) -> list[tuple[int, int, int]]:
 
 
 def _runs_of(mask: BoolArray, row0: int, col0: int) -> list[tuple[int, int, int]]:
+    """Return the row segments (row, first column, length) of the True cells of a mask.
+
+    The first cell of `mask` (rows, cols) is at row `row0`, column `col0`.
+    """
     runs = []
     for i, line in enumerate(mask):
         edges = np.flatnonzero(np.diff(np.concatenate(([0], line.astype(np.int8), [0]))))
@@ -233,8 +244,8 @@ def _runs_of(mask: BoolArray, row0: int, col0: int) -> list[tuple[int, int, int]
 def _row_windows(mask: BoolArray, row0: int, col0: int) -> list[tuple[int, ...]]:
     """Return a set of cells as pairs of windows (level, row, column, row, column).
 
-    Both windows have 2**level columns; together they cover one row segment of `mask`, whose first
-    cell is at (row0, col0).
+    Both windows of a pair have 2**level columns and start at the two cells given; their union is
+    one row segment of `mask` (rows, cols), whose first cell is at row `row0`, column `col0`.
     """
     windows: list[tuple[int, ...]] = []
     for row, col, length in _runs_of(mask, row0, col0):
@@ -244,11 +255,12 @@ def _row_windows(mask: BoolArray, row0: int, col0: int) -> list[tuple[int, ...]]
 
 
 def _windows(mask: BoolArray, row0: int, col0: int, *, columns: bool = False) -> IntArray:
-    """Return a set of cells as windows whose lengths are powers of two (n, 5).
+    """Return a set of cells as pairs of windows of 2**level cells (n, 5).
 
-    `mask` is the set, and (row0, col0) is the offset of its first cell; `Footprint` describes a row
-    of the result. With `columns`, the middle rows are covered by windows along columns, if this
-    needs fewer windows: the sides of a ring are a few long columns.
+    `mask` (rows, cols) is the set, and (row0, col0) is the offset of its first cell; `Footprint`
+    describes a row of the result. n is a multiple of four: the last pair is repeated. With
+    `columns`, windows along columns are used in the rows near row 0 if this needs fewer windows:
+    the sides of a ring are a few long columns.
     """
     best = _row_windows(mask, row0, col0)
     rows = np.abs(np.arange(row0, row0 + len(mask)))
@@ -283,6 +295,11 @@ def _support_geometry(legs: IntArray) -> tuple[NDArray[np.float32], NDArray[np.f
 
 @lru_cache(maxsize=64)
 def _covers(footprint: Footprint, block: int) -> PolygonBlocks:
+    """Return square blocks of cells that cover the polygon of the legs per heading.
+
+    `block` is the side of a block in cells. The number of blocks of each heading is a multiple of
+    four: the last block is repeated.
+    """
     corners: list[tuple[int, int]] = []
     allowed: list[BoolArray] = []
     first = [0]
@@ -321,6 +338,7 @@ def _covers(footprint: Footprint, block: int) -> PolygonBlocks:
 
 
 def _triangle_height(points: Array) -> float:
+    """Return the height of a triangle of `points` (3, 2) over its longest side, cells."""
     a, b, c = points
     area2 = abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
     longest = max(np.hypot(*(b - a)), np.hypot(*(c - b)), np.hypot(*(a - c)))
@@ -329,6 +347,12 @@ def _triangle_height(points: Array) -> float:
 
 @lru_cache(maxsize=32)
 def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) -> Footprint:
+    """Return the footprint of a lander on a grid; raise InputError for bad sizes.
+
+    A size is bad if a leg is less than one cell or more than 256 cells from the centre. `legs` is
+    the number of legs; the other arguments are distance of the legs from the centre, radius of a
+    pad, and grid spacing, m.
+    """
     radius = leg_radius / posting
     if radius < 1.0:
         raise InputError(

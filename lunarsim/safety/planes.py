@@ -27,8 +27,6 @@ def plane_stochastic_safety(
 ) -> StochasticSafety:
     """Evaluate the probability of safety on a Gaussian DEM by the legs' planes.
 
-    Heights of legs and obstacles are Gaussian.
-
     Legs stand on the highest terrain under their pads, and obstacles are the highest terrain in
     blocks of cells; both are Gaussians by the 3-sigma rule of Eqs. 15 and 16 of the Gaussian DEM
     paper. The nominal slope and roughness are those of `bounded_safety` for the means, by the real
@@ -38,14 +36,15 @@ def plane_stochastic_safety(
     vertical, not along the plane's normal: they are at least as large, and neither they nor their
     standard deviation shrink with the slope of the terrain.
 
-    The horizontal plane of Eqs. 15 to 17 also bounds both events. The higher probability of each
-    is used; both decrease with slope and roughness, hence so does the maximum.
+    The horizontal plane of Eqs. 15 to 17 also gives a conservative probability for the slope and
+    one for the roughness (`stochastic_safety`). For each of the two limits, the higher of both
+    probabilities is used.
 
     Parameters
     ----------
     mean, variance, grid, lander
-        Mean (m) and variance (m^2) of the elevation (rows, cols), NaN where unknown; grid of both;
-        lander with its limits.
+        Mean (m) and variance (m^2) of the elevation (rows, cols), NaN where unknown; grid of the
+        elevation; lander with its limits.
     block_side
         Side of the blocks, m, rounded to complete cells.
 

@@ -37,7 +37,7 @@ class ElevationRaster:
     z
         Elevation (rows, cols), float32 or float64, C-contiguous, m.
     middle
-        Middle of the map's heights, m: heights far from it are unknown.
+        Middle of the map's heights, m: heights more than 30 km from it count as unknown.
     """
 
     z: NDArray[Any]
@@ -104,6 +104,7 @@ def _real_numbers(name: str, values: ArrayLike) -> NDArray[Any]:
 
 
 def _cast(kind: Any, raster: NDArray[Any]) -> NDArray[Any]:
+    """Convert a raster to the type `kind`; values too large for it become infinite."""
     with np.errstate(over="ignore"):  # overflow becomes infinity, hence unknown
         return raster.astype(kind, copy=False)
 
@@ -115,6 +116,10 @@ def _contiguous(raster: NDArray[Any]) -> NDArray[Any]:
 
 
 def _check_shape(name: str, raster: NDArray[Any], grid: Grid, footprint: Footprint) -> None:
+    """Raise InputError if a raster differs in shape from its grid or is too small.
+
+    It is too small if the footprint does not fit; `name` is the argument that the error names.
+    """
     if raster.shape != grid.shape:
         raise InputError(
             f"{name}.shape", raster.shape, f"must be the shape of the grid, {grid.shape}"
@@ -129,7 +134,10 @@ def _check_shape(name: str, raster: NDArray[Any], grid: Grid, footprint: Footpri
 
 
 def _middle(raster: NDArray[Any]) -> float:
-    """Return the lower median of a sample of a raster's heights; 0 if there are none."""
+    """Return the lower median of a sample of a raster's heights, m.
+
+    Heights that are not finite or reach 1e9 m are ignored; if there are no others, it is 0.
+    """
     rows, cols = raster.shape
     some = raster[:: -(-rows // _MAX_SAMPLES), :: -(-cols // _MAX_SAMPLES)].ravel()
     some = some[np.abs(some) < _MAX_HEIGHT_M]

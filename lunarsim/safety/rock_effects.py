@@ -26,6 +26,8 @@ def pad_ring_area(lander: Lander) -> float:
 def tilt_limit_rock_height(slope: Array, lander: Lander) -> Array:
     """Return the rock height under a pad that tilts a lander to its limit (...), m.
 
+    The result is 0 or less where the terrain slope alone reaches the limit.
+
     Parameters
     ----------
     slope
@@ -39,9 +41,10 @@ def tilt_limit_rock_height(slope: Array, lander: Lander) -> Array:
 
 
 def min_tilt_limit_rock_height(slope: Array, lander: Lander) -> Array:
-    """Return the minimum rock height over headings that tilts to the limit (...), m.
+    """Return the minimum rock height under a pad that tilts a lander to its limit, m.
 
-    `slope` is the tangent of the terrain slope over the tangent of the slope limit (...).
+    The minimum is over headings. `slope` (...) is the tangent of the terrain slope over the tangent
+    of the slope limit. The result (...) is 0 or less where the terrain slope reaches the limit.
 
     One pad of four tilts the lander about the line through its neighbours and the centre; one pad
     of three tilts it about the line through the other two.

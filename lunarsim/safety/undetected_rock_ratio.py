@@ -123,11 +123,19 @@ class UndetectedRockRatio:
 
     @cached_property
     def _non_increasing_ratio(self) -> Array:
-        """Ratio made non-increasing with rock size, unobserved sizes first (n + 1, ...)."""
+        """Ratio made non-increasing with rock size (n + 1, rows, cols).
+
+        The first entry is for rocks smaller than all classes.
+        """
         return self._make_non_increasing(self.ratio)
 
     @staticmethod
     def _make_non_increasing(ratio: NDArray[np.float32]) -> Array:
+        """Raise ratios (n, rows, cols) so that they do not increase with rock size.
+
+        Each class gets the maximum over its ratio and those of larger classes. The result (n + 1,
+        rows, cols) begins with rocks smaller than all classes, whose ratio is at least 1.
+        """
         # Class by class: a running maximum along the first axis is ten times slower.
         out = np.empty((len(ratio) + 1, *ratio.shape[1:]))
         out[-1] = ratio[-1]
@@ -149,10 +157,10 @@ class UndetectedRockRatio:
         return self._mean(height, self._non_increasing_ratio)
 
     def remaining_rocks(self, unseen: UnseenRockCount, height: ArrayLike) -> Array:
-        """Return the number of unseen rocks above heights that remains (rows, cols).
+        """Return the number of unseen rocks above heights that remain, per area.
 
-        The observation by the other sensor reduces the number given by `unseen`. Where the ratio
-        exceeds 1, the excess is added class by class.
+        The result (rows, cols) is the number given by `unseen`, changed by the observation of the
+        other sensor. Where the ratio exceeds 1, the excess is added class by class.
 
         Parameters
         ----------
@@ -186,7 +194,10 @@ class UndetectedRockRatio:
 
     @cached_property
     def _capped_non_increasing_ratio(self) -> Array:
-        """Ratio, at most 1, made non-increasing with rock size (n + 1, ...)."""
+        """Ratio, at most 1, made non-increasing with rock size (n + 1, rows, cols).
+
+        The first entry is for rocks smaller than all classes.
+        """
         return self._make_non_increasing(np.minimum(self.ratio, np.float32(1.0)))
 
     @cached_property
@@ -206,13 +217,16 @@ class UndetectedRockRatio:
 
 
 def _flatten_heights(height: ArrayLike, shape: tuple[int, int]) -> Array:
-    """Return one height as (1,), and several broadcast to `shape` and flattened (n,)."""
+    """Return heights as a flat array: (1,) for one height, else (rows * cols,).
+
+    Several heights are broadcast to the `shape` (rows, cols) of the map.
+    """
     h = np.asarray(height, dtype=np.float64)
     return h.reshape(1) if h.size == 1 else np.ravel(np.broadcast_to(h, shape))
 
 
 def _rock_number(diameter: ArrayLike, cover: float) -> Array:
-    """Return the number of rocks above diameters (m) by the Golombek distribution.
+    """Return the rocks per m^2 above diameters (m) by the Golombek distribution.
 
     The number is interpolated in a table, with a relative error of 1e-6; `cover` is the fraction of
     terrain covered by rocks.
@@ -223,5 +237,8 @@ def _rock_number(diameter: ArrayLike, cover: float) -> Array:
 
 @lru_cache(maxsize=8)
 def _log_rock_number(cover: float) -> Array:
-    """Return the log of rocks per square metre above each diameter of `_TABLE` (n,)."""
+    """Return the log of rocks per square metre above each diameter of `_TABLE` (n,).
+
+    `cover` is the fraction of terrain covered by rocks of the Golombek distribution.
+    """
     return np.asarray(np.log(np.maximum(golombek_number(_TABLE, cover), 1e-300)))

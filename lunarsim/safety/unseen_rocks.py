@@ -67,10 +67,11 @@ class ExceedanceCurve:
 
     @cached_property
     def with_gravel(self) -> ExceedanceCurve:
-        """Curve that includes counted gravel, as low rocks tilt a lander on a slope.
+        """Curve that also uses counts of samples at low heights (gravel).
 
-        Below the counted heights, the curve is at least the mission's rock distribution: few high
-        rocks do not imply few low rocks.
+        On a slope, low rocks too can tilt the lander too far. Below the counted heights, the curve
+        is at least the rock distribution that the mission expects: few high rocks do not imply few
+        low rocks. Without `gravel`, it is this curve itself.
         """
         return self if self.gravel is None else ExceedanceCurve(self.height, self.gravel)
 
@@ -85,8 +86,8 @@ class ExceedanceCurve:
     def unseen_rocks(self, height: ArrayLike, density: ArrayLike) -> Array:
         """Return the number of unseen rocks above a height, per square metre (...).
 
-        The number is the fraction of terrain divided by the area of a rock's top; random samples
-        miss a rock with probability ``exp(-density * top)``.
+        The number is the fraction of terrain above the height, divided by the area `top` of a
+        rock's top, times the probability ``exp(-density * top)`` that random samples miss a rock.
 
         Parameters
         ----------
@@ -148,7 +149,10 @@ class ExceedanceCurve:
 
     @cached_property
     def _max_numbers(self) -> tuple[Array, Array]:
-        """Heights (n,), m, and the log of the maximum number of higher rocks per m^2 (n,)."""
+        """Heights (n,), m, and the log of the upper estimate of higher rocks per m^2 (n,).
+
+        The estimate is `_FRACTION_OF_MAX` times the maximum number compatible with the curve.
+        """
         area = 0.25 * np.pi / _ROCK_HEIGHT_RATIO**2
         h = np.geomspace(2.0 * self.height[0], self.height[-1], 2 * len(self.height))
         below = np.minimum(self.height, 0.95 * h[:, None])
@@ -161,7 +165,8 @@ def height_curve(
 ) -> ExceedanceCurve:
     """Return the fraction of terrain above each height, from samples and a prior.
 
-    The prior is the rock distribution that the mission expects.
+    Heights are above the surrounding terrain. The prior is the rock distribution that the mission
+    expects; it has the weight of 60 samples.
 
     Parameters
     ----------
@@ -190,7 +195,7 @@ def height_curve(
 
 
 def _non_increasing(share: Array) -> Array:
-    """Return fractions (n,), at most `_MAX_FRACTION` and non-increasing with height."""
+    """Reduce fractions (n,) so that none exceeds the previous or `_MAX_FRACTION`."""
     return np.asarray(np.minimum.accumulate(np.minimum(share, _MAX_FRACTION)))
 
 
@@ -199,9 +204,11 @@ def _ratio_to_distribution(
 ) -> tuple[Array, float]:
     """Return the ratio of counted samples to the rock distribution, by height (n,).
 
-    Samples are counted above each of the heights `counted`, except those within the noise; beyond
-    them the ratio is constant. `distribution` (n,) is the distribution's fraction of terrain above
-    `height` (n,). The second result is the minimum height at which samples were counted, m.
+    `sample_heights` are heights above the surrounding terrain with standard deviation `noise`, m.
+    Samples are counted above each of the heights `counted`, except those within the noise; below
+    and above these heights the ratio is constant. `distribution` (n,) is the distribution's
+    fraction of terrain above each `height` (n,). The second result is the minimum height at which
+    samples were counted, m.
     """
     above_noise = counted[counted >= _MIN_HEIGHT_SIGMAS * noise]
     counted = above_noise if above_noise.size else counted[-1:]
@@ -240,7 +247,7 @@ def distribution_fraction(height: ArrayLike, cover: float, height_ratio: float) 
 
     `height` (n,) is in m; `cover` is the fraction of terrain covered by rocks of the Golombek
     distribution. Rocks are half ellipsoids with circular outlines, `height_ratio` times as high as
-    wide.
+    wide. The result is at least 1e-12, so that its logarithm exists.
     """
     h = np.asarray(height, dtype=np.float64)[:, None]
     number = golombek_number(_DIAMETERS, cover)

@@ -121,7 +121,8 @@ def parse_changes(texts: Sequence[str]) -> dict[str, Any]:
 def _parse_value(change: str, value: str) -> Any:
     """Parse a TOML value, or return it as a string if it is not TOML.
 
-    `change` is the complete ``KEY=VALUE`` for errors.
+    An InputError is raised for text that begins like a list, a table or a quoted string but is not
+    TOML. `change` is the complete ``KEY=VALUE`` for errors.
     """
     try:
         found = tomllib.loads(f"value = {value}")

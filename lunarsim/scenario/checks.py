@@ -187,7 +187,10 @@ def _has_sensor_for(sensors: dict[str, Any], measurement_type: type) -> bool:
 
 
 def _sensor_kinds_for(measurement_type: type) -> str:
-    """Return a phrase, such as "of kind 'imu'", for sensors of a measurement type."""
+    """Return a phrase that names the sensors of a measurement type.
+
+    It lists the registered kinds, such as "of kind 'imu'", or the type if there are none.
+    """
     found = [
         repr(kind)
         for kind, sensor in loadable_parts("sensor")
@@ -208,7 +211,11 @@ def _kinds_of(contract: str, base: type) -> str:
 
 
 def _check_mappers(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
-    """Check that the sensors, mappers and filter that each hazard mapper needs exist."""
+    """Check that each hazard mapper has what it needs, and that its map is valid.
+
+    A mapper needs sensors, and some need other mappers, a certain navigation filter, or a range of
+    Sun elevations.
+    """
     for name, part in scenario.mappers.items():
         mapper = part.make()
         field = f"mappers.{name}"
@@ -218,7 +225,7 @@ def _check_mappers(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
         if isinstance(mapper, ShadowMapping):
             _check_other_mappers(field, mapper.check_terrain_mapper, scenario)
             _check_sun_elevation(field, scenario.sun.elevation_deg)
-        _check_map(field, mapper, scenario)
+        _check_map_size(field, mapper, scenario)
         _check_sensors(field, mapper, scenario.sensors, sensors)
         needed = getattr(mapper, "navigation", None)
         if needed is not None and not isinstance(scenario.navigation.make(), needed):
@@ -281,10 +288,12 @@ def _check_other_mappers(
         raise error.with_field(f"{field}.{error.field}") from None
 
 
-def _check_map(field: str, mapper: Any, scenario: CheckedTables) -> None:
-    """Check the map size and the grid spacing of a mapper that has both.
+def _check_map_size(field: str, mapper: Any, scenario: CheckedTables) -> None:
+    """Check that a mapper's map is neither too small, too coarse nor too large.
 
-    `field` is the mapper's table.
+    The cell side must be at most half the lander's leg radius, the side of the map at least 4 leg
+    radii plus 1 m, and the number of cells limited (`check_map_size`). A mapper without `size` and
+    `posting` is not checked. `field` is the mapper's table.
     """
     size, posting = getattr(mapper, "size", None), getattr(mapper, "posting", None)
     if isinstance(size, float | int) and isinstance(posting, float | int):
@@ -295,7 +304,11 @@ def _check_map(field: str, mapper: Any, scenario: CheckedTables) -> None:
 
 
 def _check_navigation(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
-    """Check that navigation has the sensors, prior map and gravity that it needs."""
+    """Check that navigation has the sensors, prior map and gravity that it needs.
+
+    A table [far_terrain] also needs a table [moon]. Inertial navigation permits no [moon], because
+    it assumes uniform gravity.
+    """
     navigation = scenario.navigation.make()
     for wanted in navigation.needs:
         if not _has_sensor_for(sensors, wanted):
@@ -326,7 +339,10 @@ def _check_navigation(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
 
 
 def _check_control(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
-    """Check that attitude control has an IMU and is stable with the simulation step."""
+    """Check that attitude control has an IMU and is stable with the simulation step.
+
+    Control that commands no torques needs no IMU.
+    """
     if scenario.control.make().torques and not _has_sensor_for(sensors, InertialSamples):
         raise InputError(
             "control.kind", scenario.control.kind,
@@ -348,7 +364,12 @@ def _check_control(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
 
 
 def _check_actuators(scenario: CheckedTables) -> None:
-    """Check that lander, attitude control and actuator faults fit together."""
+    """Check that lander, attitude control and actuator faults fit together.
+
+    A lander with attitude thrusters (`JetLander`) needs control that commands torques, with a
+    period that the thrusters can follow. Control that commands thrusters needs such a lander.
+    Faults must fit the engine and the number of thrusters.
+    """
     lander, control = scenario.vehicle.make(), scenario.control.make()
     jets = isinstance(lander, JetLander)
     field, kind = "control.kind", scenario.control.kind
@@ -397,7 +418,10 @@ def _check_actuators(scenario: CheckedTables) -> None:
 
 
 def _check_tasking(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
-    """Check that exactly the sensors that measure on command have a schedule."""
+    """Check that exactly the sensors that measure on command have a schedule.
+
+    No schedule may ask for more than one measurement per control cycle.
+    """
     for name in scenario.tasking:
         if name not in sensors:
             raise InputError(
@@ -434,7 +458,10 @@ def _check_tasking(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
 
 
 def _check_all_used(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
-    """Check that every sensor, prior map and initial uncertainty is used."""
+    """Check that every sensor, prior map and initial uncertainty is used.
+
+    Cameras need no user, because they may only record.
+    """
     navigation = scenario.navigation.make()
     used = {name for part in scenario.mappers.values() for name in sensor_names(part.make())}
     wanted = (*navigation.needs, *navigation.accepts)

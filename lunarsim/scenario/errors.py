@@ -199,7 +199,7 @@ def unknown_key_error(field: str, value: object, remedy: str) -> InputError:
 
 
 def _is_union(model: type[PartSettings], key: str) -> bool:
-    """Return whether a key accepts several types (named in pydantic's errors)."""
+    """Return whether a key accepts several types, such as a number or a list."""
     found = model.model_fields.get(key)
     return found is not None and get_origin(found.annotation) in (Union, UnionType)
 
@@ -242,7 +242,11 @@ def _element_words(model: type[PartSettings], key: str, depth: int) -> str:
 def _table_at(
     model: type[PartSettings], location: tuple[Any, ...]
 ) -> tuple[type[PartSettings], int]:
-    """Return settings class and depth of the innermost table at a path."""
+    """Return the innermost settings class on a key path, and its depth in the path.
+
+    `location` is the path of keys and list indices from the table of `model`. The depth is the
+    index of the first step that is a key of the returned class.
+    """
     for depth, step in enumerate(location):
         field = model.model_fields.get(str(step))
         if field is None or not isinstance(field.annotation, type):

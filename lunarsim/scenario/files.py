@@ -38,7 +38,7 @@ def read_toml(path: Path, name: str) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If the file is missing, empty or not TOML.
+        If the file is missing, empty, too large, or not valid TOML in UTF-8.
     """
     if not path.is_file():
         raise InputError(name, str(path), "must be an existing TOML file")
@@ -68,7 +68,8 @@ def parsed_toml(text: str, name: str = "scenario", shown: str = "text") -> dict[
     Raises
     ------
     InputError
-        If the text is not TOML, is nested too deep, or has an integer of more than 64 bits.
+        If the text is too long, is not TOML, is nested too deep, or has an integer of more than 64
+        bits.
     """
     if len(text) > MAX_TOML_BYTES:
         raise InputError(name, shown, _TOO_LARGE)

@@ -19,9 +19,9 @@ def _first_line(cls: type) -> str:
 
 
 def parts_list(contract: str | None = None) -> list[str]:
-    """List the components that scenarios can select: contract, kind and description.
+    """Return one line with type, name and description per component for scenarios.
 
-    A contract is a type of component, for instance "sensor"; None lists all. One line each.
+    `contract` is a type of component, for instance "sensor"; None: all types.
 
     Raises
     ------

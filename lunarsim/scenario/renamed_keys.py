@@ -113,6 +113,8 @@ _NAMED = ("sensors", "tasking", "mappers")
 def current_path(path: str) -> str:
     """Translate a scenario key of an earlier version to its current dotted path.
 
+    A key that was not renamed is returned unchanged.
+
     Examples
     --------
     >>> current_path("variation.load_kg")
@@ -123,6 +125,8 @@ def current_path(path: str) -> str:
 
 def current_steps(path: list[str]) -> list[str]:
     """Translate the path of a scenario key of an earlier version, as a list of names.
+
+    Names that were not changed remain in the result.
 
     Examples
     --------
@@ -138,7 +142,8 @@ def current_steps(path: list[str]) -> list[str]:
 def first_path(path: str) -> str:
     """Translate a current scenario key to the dotted path of the first version.
 
-    Labels of random streams use these names, so that renaming a key changes no random number.
+    A key that was not renamed is returned unchanged. Labels of random streams use these names, so
+    that renaming a key changes no random number.
 
     Examples
     --------

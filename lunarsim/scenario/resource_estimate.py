@@ -43,6 +43,7 @@ _REMEDIES = {
 class ResourceEstimate(NamedTuple):
     """Estimated peak memory (bytes) by the scenario key that determines it.
 
+    `memory` does not include the process itself, its libraries and kernels; `total` does.
     `terrain_time` is the estimated time to generate the terrain, s.
     """
 

@@ -210,7 +210,8 @@ class Scenario:
         """Create a scenario from only the world and vehicle tables of a TOML text.
 
         All other tables have their defaults, because their components may come from modules that
-        this process does not allow. Readers of flight records and reports use this method.
+        this process does not allow. Readers of flight records and reports use this method. `folder`
+        is the folder of relative paths; None is the working directory.
 
         Raises
         ------
@@ -280,7 +281,10 @@ class Scenario:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all values of the scenario as nested dictionaries, including defaults."""
+        """Return all values of the scenario as nested dictionaries, including defaults.
+
+        Optional tables that the scenario does not have are omitted.
+        """
         out: dict[str, Any] = {}
         for f in fields(self):
             value = getattr(self, f.name)
@@ -298,6 +302,8 @@ class Scenario:
 
     def check_files(self) -> None:
         """Read the terrain files to check them; other parts read their files on creation.
+
+        Terrain without a file passes.
 
         Raises
         ------
@@ -329,7 +335,8 @@ def _dump(value: Any) -> Any:
 def _merged(old: Any, change: Any) -> Any:
     """Return a scenario value or table `old` with `change` merged into it.
 
-    Tables are merged key by key; None removes a key; another `kind` replaces the table.
+    Tables are merged key by key, and None removes a key. A change that is not a table, or that has
+    another `kind`, replaces `old` completely.
     """
     if not (isinstance(old, dict) and isinstance(change, Mapping)):
         return change

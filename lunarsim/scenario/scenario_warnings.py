@@ -74,7 +74,11 @@ def _lander_warnings(lander: Lander) -> Iterator[str]:
 
 
 def _gyration_warnings(lander: Lander) -> Iterator[str]:
-    """Yield a warning if the moments of inertia are implausible for the lander's size."""
+    """Yield a warning if the moments of inertia are implausible for the lander's size.
+
+    The radii of gyration, without and with propellant, must be 0.1 to 0.75 leg radii. At most one
+    warning is given.
+    """
     for name, mass in (("dry", lander.dry_mass), ("full", lander.wet_mass)):
         moments = np.asarray(getattr(lander, f"inertia_{name}"))
         radius = np.sqrt(moments / mass)
@@ -117,7 +121,11 @@ def _listed(values: Any) -> str:
 
 
 def _sensor_warnings(scenario: Scenario) -> Iterator[str]:
-    """Yield warnings about sensors out of range and cameras that no mapper uses."""
+    """Yield warnings about ranges beyond a sensor's limit and about unused cameras.
+
+    A sensor gets a warning if all altitudes of its measurements are above its maximum range, and a
+    camera if no mapper uses its images.
+    """
     mapped = {name for part in scenario.mappers.values() for name in sensor_names(part.make())}
     for name, settings in scenario.sensors.items():
         sensor = settings.make()
@@ -143,7 +151,10 @@ def _sensor_warnings(scenario: Scenario) -> Iterator[str]:
 
 
 def _randomization_warnings(scenario: Scenario) -> Iterator[str]:
-    """Yield a warning that only environments use the table domain_randomization."""
+    """Yield a warning if a scenario has the table domain_randomization.
+
+    Only environments use this table.
+    """
     if scenario.domain_randomization is not None:
         yield (
             "domain_randomization: only environments accept this table; `fly`, `compare` and "
@@ -209,9 +220,11 @@ def _unused_keys(
     only: tuple[str, ...] | None = None,
     ignored: tuple[str, ...] = (),
 ) -> Iterator[str]:
-    """Yield a warning that names all keys of a table that are set but have no effect.
+    """Yield a warning that names all keys of a table that differ from their defaults.
 
-    `reason` ends the warning. Keys are checked if in `only` (None: all) and not in `ignored`.
+    The caller has found that these keys have no effect; `reason` states why, at the end of the
+    warning. Keys are included if in `only` (None: all) and not in `ignored`. Without such a key
+    nothing is yielded.
     """
     fields = type(settings).model_fields
     values: Mapping[str, Any] = {key: getattr(settings, key) for key in fields}

@@ -83,12 +83,14 @@ def _hint(name: str, known: Iterable[str]) -> str:
 
 
 def description_of(path: Path) -> str:
-    """Return the value of the key ``description`` of a scenario file."""
+    """Return the value of the key ``description`` of a scenario file, or ""."""
     return str(tomllib.loads(path.read_text(encoding="utf-8")).get("description", ""))
 
 
 def copy_to(name: str, target: Path) -> list[Path]:
-    """Copy a supplied scenario and its data files; return the written files.
+    """Copy a supplied scenario and its data files; return the paths written.
+
+    A data file that already exists with the same contents is not written again.
 
     Parameters
     ----------
@@ -111,10 +113,9 @@ def copy_to(name: str, target: Path) -> list[Path]:
     for old, new in pairs:
         if new.exists() and (new == target or new.read_bytes() != old.read_bytes()):
             raise InputError("--out", str(new), "must be a file that does not exist yet")
+    pairs = [(old, new) for old, new in pairs if not new.exists()]
     with ExitStack() as undo:
         for old, new in pairs:
-            if new.exists():
-                continue
             missing = [folder for folder in new.parents if not folder.exists()]
             for folder in reversed(missing):
                 folder.mkdir()

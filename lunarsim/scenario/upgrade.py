@@ -156,7 +156,10 @@ class _Renamer:
         self._value(path)
 
     def _key(self, table: list[str]) -> list[str]:
-        """Read a dotted key of `table` and note new names; return its path as in the file."""
+        """Read a dotted key of `table`, and record the tokens that have a new name.
+
+        Returns the path of the key as in the file, with the names of its tables.
+        """
         path = list(table)
         while self._peek() not in ("=", "]"):
             token = self._tokens[self._next]

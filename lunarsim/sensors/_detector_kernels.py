@@ -19,11 +19,13 @@ def read_out(
     counts_per_electron,
     max_count,
 ):
-    """Convert electrons (rows, cols) to `counts` (rows, cols), with noise.
+    """Write the counts of a detector for given electrons into `counts` (rows, cols).
 
-    Where `has_shot_noise` is set, `electrons` already contains the shot noise; elsewhere its
-    variance is the number of electrons. `standard_normal` are random numbers (rows, cols) for the
-    noise; `read_variance` is the variance of the read noise, electrons^2.
+    Where `has_shot_noise` (rows, cols) is set, `electrons` (rows, cols) already contain the shot
+    noise; elsewhere it is added with the variance `electrons`. The read noise has the variance
+    `read_variance`, electrons^2. `standard_normal` (rows, cols) are the random numbers of both
+    kinds of noise. The noisy electrons are limited to `full_well`, multiplied by
+    `counts_per_electron`, limited to `max_count` and rounded. Negative values and NaN become 0.
     """
     rows, cols = counts.shape
     for i in prange(rows):

@@ -33,9 +33,9 @@ def quantize_increment(truth, matrix, offset, quantum, remainder, out):
 def ideal_increments(states, gravity_increment, angle_increments, velocity_increments):
     """Compute the increments that an error-free IMU measures along a trajectory.
 
-    `states` (n + 1, 15) begin before the first sample; `gravity_increment` is gravity times the
-    time step, m/s. The results (n, 3), rad and m/s, body axes, are written into the last two
-    arrays.
+    `states` (n + 1, 15) are state vectors one time step apart; the first is the state before the
+    first sample. `gravity_increment` is gravity times the time step, m/s. The angle and velocity
+    increments (n, 3), rad and m/s, body axes, are written into the last two arrays.
     """
     middle = np.empty(4)
     change = np.empty(3)
@@ -60,8 +60,9 @@ def ideal_increments(states, gravity_increment, angle_increments, velocity_incre
 def sample_increments(truth, matrix, offsets, quantum, remainder):
     """Return the measured increments (n, 3) for true increments `truth` (n, 3).
 
-    `matrix` (3, 3) holds scale factors and misalignments, `offsets` (n, 3) are additive errors,
-    `quantum` is the quantization step, and `remainder` (3,) is updated.
+    `matrix` (3, 3) holds scale factors and misalignments, `offsets` (n, 3) are additive errors and
+    `quantum` is the quantization step (0: none). The quantization remainder `remainder` (3,) is
+    updated in place for the next call.
     """
     out = np.empty_like(truth)
     for n in range(truth.shape[0]):

@@ -49,7 +49,10 @@ class RadarAltimeter:
         check_bounds(self, "altimeter")
 
     def calibration(self) -> AltimeterInstrument:
-        """Return the calibration: what the onboard computer knows of the altimeter."""
+        """Return the calibration for the onboard computer: the direction of the beam.
+
+        The noise is not part of it, because each reading includes its standard deviation.
+        """
         return AltimeterInstrument(self.boresight)
 
     def measure(

@@ -15,14 +15,17 @@ from lunarsim.world import World
 
 
 class AutoExposureCamera:
-    """A camera that sets its exposure from the previous image, or as commanded.
+    """Camera with a variable exposure time: automatic until a command fixes it.
+
+    With automatic exposure, the time of the next image is computed from the histogram of each
+    image. The gain changes only by command.
 
     Parameters
     ----------
     camera
         Camera with the exposure time of its first image.
     control
-        Settings of automatic exposure; None: commanded exposure.
+        Settings of automatic exposure; None: the time changes only by command.
     """
 
     def __init__(self, camera: Camera, control: ExposureControl | None) -> None:
@@ -31,6 +34,8 @@ class AutoExposureCamera:
 
     def command(self, exposure: float, gain: float | None = None) -> None:
         """Set exposure time (s) and gain to fixed values, and end automatic exposure.
+
+        If `gain` is None, the gain remains unchanged.
 
         Raises
         ------
@@ -49,10 +54,10 @@ class AutoExposureCamera:
         rng: np.random.Generator,
         mount: Array | None = None,
     ) -> CameraImage:
-        """Take an image, and set the exposure time of the next image.
+        """Take an image; with automatic exposure, set the exposure time of the next one.
 
         `state` is the true state at `time`, the middle of the exposure, s; `mount` (3, 3) is the
-        rotation, sensor to body.
+        rotation, sensor to body. `rng` is the source of the noise.
         """
         image = self.camera.measure(world, state, time, rng, mount)
         if self.control is not None:

@@ -137,7 +137,8 @@ class Camera(CameraModel):
     def with_field_of_view(cls, width: int, height: int, degrees: float, **more: object) -> Camera:
         """Return a camera with square pixels and a horizontal field of view of `degrees`.
 
-        `width` and `height` are the size of the image, pixels; `more` are other fields.
+        `width` and `height` are the size of the image, pixels; `more` are other fields of the
+        camera.
         """
         if not (isinstance(degrees, float | int | np.floating) and 0.0 < degrees < 170.0):
             raise InputError(
@@ -192,7 +193,7 @@ class Camera(CameraModel):
         Raises
         ------
         InputError
-            If the camera is below the terrain.
+            If the camera is below the terrain, or position or attitude are not valid.
         RenderingError
             If OpenGL is missing.
         """
@@ -228,7 +229,7 @@ class Camera(CameraModel):
         """Render the radiance factor of a view; a rolling shutter exposes band after band.
 
         `state` is the true state in the middle of the exposure; `view` includes the border that
-        distortion requires.
+        distortion requires, and so does the result (height, width).
         """
         bands = [(0, view.height, state)]
         if self.shutter == "rolling":
@@ -246,7 +247,8 @@ class Camera(CameraModel):
     def _bands(self, world: World, state: State, view: View) -> list[tuple[int, int, State]]:
         """Divide a rolling-shutter image into bands of lines that are rendered together.
 
-        Returns first line, line after the last, and lander state of each band.
+        Returns, for each band, its first line, the line after its last, and the lander state at the
+        mean time of its lines.
         """
         max_elevation = world.terrain.relief.z_range[1]
         near = max(float(view.position[2]) - max_elevation, 1.0)
@@ -273,7 +275,10 @@ class Camera(CameraModel):
 
     @cached_property
     def _border(self) -> int:
-        """Width, pixels, of the extra border to render before applying distortion."""
+        """Width, pixels, of the extra border to render before applying distortion.
+
+        It is 0 without distortion.
+        """
         if not any(self.distortion):
             return 0
         x, y = self._source_pixels
@@ -293,7 +298,10 @@ class Camera(CameraModel):
 
     @cached_property
     def _source_pixels(self) -> tuple[Array, Array]:
-        """Coordinates x, y (height, width) in an undistorted image that each pixel shows."""
+        """Undistorted image coordinates x, y that each pixel of the image shows.
+
+        Both arrays are (height, width), pixels.
+        """
         x, y = self.tangents
         assert self.cx is not None
         assert self.cy is not None
@@ -318,9 +326,11 @@ class Camera(CameraModel):
     ) -> NDArray[np.float32]:
         """Average an image over the rotation of the camera during the exposure.
 
-        `rate` is the angular velocity (3,), sensor axes, rad/s.
-        A rotation moves pixels by the homography K R K^-1, independent of range. The translation
-        of the lander during an exposure is far below a pixel and is neglected.
+        `rate` is the angular velocity (3,), sensor axes, rad/s. The image is returned unchanged if
+        motion blur is disabled or the rotation moves no pixel by 0.05 pixels or more.
+
+        A rotation moves pixels by the homography K R K^-1, independent of range. The translation of
+        the lander during an exposure is far below a pixel and is neglected.
         """
         turn = rate * self.exposure
         reach = np.hypot(view.width, view.height) * 0.5
@@ -359,7 +369,7 @@ class Camera(CameraModel):
 
 
 def _check_pose(state: State) -> None:
-    """Raise InputError unless position and attitude of a state are valid."""
+    """Raise InputError unless a state has a finite position and a unit quaternion."""
     check_finite_position(state.position)
     if not is_rotation(state.attitude):
         raise InputError(

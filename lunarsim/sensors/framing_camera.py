@@ -144,7 +144,8 @@ class FramingCamera:
     def build(self, rng: np.random.Generator, step: float) -> Camera | AutoExposureCamera:
         """Return the camera of one flight; its hot pixels come from `rng`.
 
-        `step`, the integration step, is not used.
+        With automatic exposure it is an `AutoExposureCamera`. `step`, the integration step, is not
+        used.
         """
         camera = self.camera()
         if self.hot_pixels > 0.0:
@@ -158,7 +159,11 @@ class FramingCamera:
         return AutoExposureCamera(camera, control)
 
     def calibration(self) -> CameraInstrument:
-        """Return the calibration: what the onboard computer knows of the camera."""
+        """Return the calibration of the camera for the onboard computer.
+
+        It consists of the gimbal limit, the blur, the angle of a pixel, and the field of view along
+        the narrower side. Each image carries its focal length, distortion and mounting.
+        """
         camera = self.camera()
         half = 0.5 * min(self.width / camera.fx, self.height / camera.fy)
         return CameraInstrument(self.gimbal_limit, self.blur_sigma, 1.0 / camera.fx, half)

@@ -35,11 +35,17 @@ class ImuSettings:
     is_tasked: ClassVar[bool] = False
 
     def build(self, rng: np.random.Generator, step: float) -> Imu:
-        """Return the unit of one flight; errors come from `rng`."""
+        """Return the unit of one flight; its constant errors and noise come from `rng`.
+
+        The unit takes one sample every `step` seconds.
+        """
         return Imu(rng, 1.0 / step, self.gyroscopes, self.accelerometers)
 
     def calibration(self) -> InertialInstrument:
-        """Return the calibration: what the onboard computer knows of the unit."""
+        """Return the calibration for the onboard computer: the statistics of all errors.
+
+        The errors that were sampled for the flight are not part of it.
+        """
         return InertialInstrument(self.gyroscopes, self.accelerometers)
 
 

@@ -54,5 +54,8 @@ class SensorPart(Protocol):
     is_tasked: ClassVar[bool]
 
     def calibration(self) -> Any:
-        """Return the calibration: what the onboard computer knows of sensor and gimbal."""
+        """Return the data on sensor and gimbal that the onboard computer has.
+
+        The result is None if the onboard computer needs none.
+        """
         ...

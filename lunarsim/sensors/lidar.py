@@ -158,13 +158,21 @@ class FlashLidar:
             )  # fmt: skip
 
     def build(self, rng: np.random.Generator, step: float) -> FlashLidar | BiasedLidar:
-        """Return the LiDAR of one flight; constant errors come from `rng`."""
+        """Return the LiDAR of one flight; constant errors come from `rng`.
+
+        Without constant errors, the result is this object. `step` is not used.
+        """
         constant = (self.range_bias, self.boresight_bias, self.latency_bias)
         stated = (self.range_sigma, self.boresight_sigma, self.latency_sigma)
         return BiasedLidar(self, rng) if any(np.ravel((*constant, *stated))) else self
 
     def calibration(self) -> LidarInstrument:
-        """Return the calibration: what the onboard computer knows of the LiDAR."""
+        """Return the calibration of the LiDAR for the onboard computer.
+
+        It consists of the gimbal limit, the standard deviations of the constant errors, the pixel
+        angle, the field of view, and the limits of range and incidence. The biases with names that
+        end in ``_bias`` are not part of it.
+        """
         spread = (
             self.half_fov_tangent
             if self.pixel_spacing == "tangent"
@@ -202,12 +210,14 @@ class FlashLidar:
     ) -> LidarScan:
         """Measure the ranges of all pixels in one flash, without constant errors.
 
+        The range of a pixel without a return is NaN.
+
         Parameters
         ----------
         world, state, time
             True world and state, and the time, s.
         rng
-            Source of the range noise.
+            Source of the range noise and of lost returns.
         mount
             Rotation (3, 3), sensor to body, of the gimbal; omitted: boresight along body -z.
         """
@@ -247,11 +257,12 @@ class FlashLidar:
         return measured, sigma
 
     def _average_over_beam(self, world: World, origin: Array, rays: Array, centre: Array) -> Array:
-        """Return the mean range (n,), m, over the footprint of each beam; NaN: miss.
+        """Return the mean range (n,), m, over the footprint of each beam.
 
         `origin` and `rays` are the start and the unit vectors (n, 3) of the beams, ENU; `centre`
-        (n,) are the ranges of the beam centres, m.
-        Seven rays, the centre and a hexagon, have the second moments of a Gaussian beam.
+        (n,) are the ranges of the beam centres, m. The result is NaN where the beam centre has no
+        return. Seven rays, the centre and a hexagon, have the second moments of a Gaussian beam;
+        rays without a return are omitted from the mean.
         """
         across = np.cross(
             rays, np.where(np.abs(rays[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
@@ -309,7 +320,8 @@ class BiasedLidar:
         """Measure the ranges of all pixels in one flash, with noise and constant errors.
 
         `state` is the true state at the reported `time`, s, and `mount` (3, 3) the reported
-        rotation, sensor to body. The lander's motion is assumed constant over the latency.
+        rotation, sensor to body. The lander's motion is assumed constant over the latency. Ranges
+        without a return, or not positive with their bias, are NaN.
         """
         used_mount = DOWNWARD_MOUNT if mount is None else mount
         aim = quat_to_matrix(quat_from_rotation_vector(self.boresight))

@@ -72,7 +72,10 @@ class StarTracker:
         return MisalignedStarTracker(self, rng)
 
     def calibration(self) -> StarTrackerInstrument:
-        """Return the calibration: what the onboard computer knows of the tracker."""
+        """Return the calibration for the onboard computer: sigma of the misalignment.
+
+        The noise is not part of it, because each reading includes its covariance.
+        """
         return StarTrackerInstrument(self.misalignment)
 
     def covariance(self) -> Array:

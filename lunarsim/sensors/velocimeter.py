@@ -87,7 +87,11 @@ class DopplerVelocimeter:
         )
 
     def calibration(self) -> VelocimeterInstrument:
-        """Return the calibration: what the onboard computer knows of the velocimeter."""
+        """Return the calibration of the velocimeter for the onboard computer.
+
+        It consists of the directions of the beams and the standard deviations of bias and random
+        walk. Each reading includes the standard deviations of its noise.
+        """
         beams = tuple((float(x), float(y), float(z)) for x, y, z in self.directions())
         return VelocimeterInstrument(beams, self.speed_bias, self.speed_random_walk)
 
@@ -101,7 +105,8 @@ class DopplerVelocimeter:
     ) -> DopplerReading:
         """Measure radial speed and slant range along each beam, with noise but no bias.
 
-        Random numbers are drawn from `rng` even without a return. `mount` is not used.
+        Beams without a return give NaN; random numbers are drawn from `rng` for them too. `state`
+        is the true state at `time`, s. `mount` is not used.
         """
         noise = rng.standard_normal((2, self.beams))
         beams = quat_rotate(state.attitude, self.directions())
@@ -150,7 +155,8 @@ class BiasedVelocimeter:
     ) -> DopplerReading:
         """Measure radial speed and slant range along each beam, with noise and bias.
 
-        `state` is the true state at `time`, s; `mount` is not used.
+        `state` is the true state at `time`, s; beams without a return give NaN. The biases change
+        by their random walk since the last call. `mount` is not used.
         """
         reading = self.params.measure(world, state, time, rng, mount)
         past = 0.0 if self._time is None else time - self._time

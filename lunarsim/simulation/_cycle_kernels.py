@@ -20,12 +20,14 @@ def fly_cycle_steps(
 ):  # fmt: skip
     """Advance the lander by one control cycle with the attitude loop on gyroscopes.
 
-    `state` (15,), the true state, and `remainder` (3,), the rounding remainder of the gyroscopes,
-    are changed in place. `params` (5,) is gravity, exhaust velocity, thrust lag, dry and full
-    mass; `rig` is from `build_rig`. `loop` (10,) is the onboard attitude, rate and torque; `gains`
-    (3,) is frequency, damping ratio and slew limit. `matrix`, `offsets` (steps, 3) and `quantum`
-    are the gyroscope errors. Returns states (steps, 15), gyroscope increments (steps, 3), rad, and
-    commanded torques (steps, 3), N m.
+    `state` (15,), the true state, `loop` (10,), the onboard attitude, rate and torque, and
+    `remainder` (3,), the rounding remainder of the gyroscopes, are changed in place. The cycle has
+    `steps` steps of `dt` seconds. `thrust` is the input of the engine's lag, N. `params` (5,) is
+    gravity, exhaust velocity, thrust lag, dry and full mass; `inertia` (2, 3) is the true one,
+    tanks empty and full; `rig` is from `build_rig`. `target_attitude` (4,) is the command; `gains`
+    (3,) is frequency, damping ratio and slew limit; `onboard_inertia` and `torque_max` are (3,).
+    `matrix`, `offsets` (steps, 3) and `quantum` are the gyroscope errors. Returns states (steps,
+    15), gyroscope increments (steps, 3), rad, and commanded torques (steps, 3), N m.
     """
     history = np.empty((steps, 15))
     increments = np.empty((steps, 3))

@@ -70,6 +70,11 @@ class Checkpoint:
 
 
 class _Writer(pickle.Pickler):
+    """Pickler of a simulation that writes shared objects as their index in `shared`.
+
+    Arrays that share memory still do so after reading.
+    """
+
     def __init__(self, file: io.BytesIO, shared: Sequence[Any]) -> None:
         super().__init__(file, protocol=5)
         self._shared_index = {id(obj): index for index, obj in enumerate(shared)}
@@ -90,7 +95,10 @@ class _Writer(pickle.Pickler):
         return self._shared_index.get(id(obj))
 
     def reducer_override(self, obj: Any) -> Any:
-        """Pickle an array view so that it still shares memory with its base."""
+        """Pickle an array view so that it still shares memory with its base.
+
+        Other objects are pickled as usual. Raise `PicklingError` for a view that cannot be rebuilt.
+        """
         if type(obj) is not np.ndarray or obj.base is None:
             return NotImplemented
         root = obj
@@ -126,6 +134,8 @@ def _rebuild_view(
 
 
 class _Reader(pickle.Unpickler):
+    """Unpickler that restores shared objects by their index in `shared`."""
+
     def __init__(self, file: io.BytesIO, shared: Sequence[Any]) -> None:
         super().__init__(file)
         self._shared = shared

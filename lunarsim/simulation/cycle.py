@@ -68,6 +68,10 @@ def fly_cycle(plant: Plant, loop: AttitudeLoop, command: Command) -> ControlCycl
 def _fly_compiled(
     plant: Plant, loop: AttitudeLoop, imu: Imu, thrust: float
 ) -> tuple[Array, Array, Array]:
+    """Simulate one control cycle of a lander without thrusters in a compiled function.
+
+    The results are those of `_fly_stepwise`.
+    """
     d, gyros = plant.dynamics, imu.gyroscopes
     history, increments, torques = k.fly_cycle_steps(
         plant.state.as_vector(), plant.steps, d.step, d.thrust(thrust), d.params, d.inertia,
@@ -103,6 +107,11 @@ def _fly_with_actuators(
 def _fly_in_python(
     plant: Plant, loop: AttitudeLoop, imu: Imu, thrust: float
 ) -> tuple[Array, Array, Array]:
+    """Simulate one control cycle of a lander without thrusters in Python.
+
+    The results are those of `_fly_stepwise`.
+    """
+
     def advance(state: State) -> tuple[State, Array]:
         torque = loop.torque()
         return plant.dynamics.advance(state, thrust, torque), torque

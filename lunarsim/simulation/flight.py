@@ -153,7 +153,10 @@ class Flight:
 
     @property
     def map_error(self) -> Array:
-        """Local minus true coordinates (3,), m, of the map that decisions used."""
+        """Local minus true coordinates (3,), m, of the map that decisions used.
+
+        It is zero if there is no such map.
+        """
         record = self.maps.get(self.decision_mapper)
         return np.zeros(3) if record is None else record.error
 
@@ -191,7 +194,10 @@ class Flight:
 
     @property
     def divert_distance(self) -> float:
-        """Horizontal distance from the site before the first divert to the last site, m."""
+        """Horizontal distance from the site before the first divert to the last site, m.
+
+        It is 0 without a divert.
+        """
         if not self.decisions:
             return 0.0
         first, last = self.decisions[0]["from"], self.decisions[-1]["to"]
@@ -215,6 +221,7 @@ class Flight:
         return "\n".join(lines)
 
     def _facts(self) -> list[tuple[str, str]]:
+        """Return pairs of name and value of the main results, for the text of the flight."""
         facts = [
             ("time of flight", f"{self.duration:.1f} s"),
             ("propellant", f"{self.propellant_used:.1f} kg"),
@@ -282,6 +289,7 @@ class Flight:
         return folder
 
     def _record(self) -> dict[str, Any]:
+        """Return the content of ``flight.json`` without the digests of the other files."""
         first = self.first_map
         return {
             "frames": FRAMES,
@@ -346,6 +354,7 @@ def _plain(value: Any) -> Any:
 
 
 def _landing_outcome(record: dict[str, Any]) -> LandingOutcome:
+    """Build a landing outcome from its entry in ``flight.json``."""
     touchdown = record["touchdown"]
     if touchdown is not None:
         touchdown = Touchdown(**touchdown | {"position": np.array(touchdown["position"])})
@@ -353,6 +362,7 @@ def _landing_outcome(record: dict[str, Any]) -> LandingOutcome:
 
 
 def _estimate(record: dict[str, Any]) -> Estimate:
+    """Build an estimate from its entry in ``flight.json``, with a covariance of NaN."""
     position, velocity, attitude, rate = (
         np.array(record[k]) for k in ("position", "velocity", "attitude", "rate")
     )
@@ -364,10 +374,12 @@ def _estimate(record: dict[str, Any]) -> Estimate:
 
 
 def _save_table(table: pa.Table, path: Path) -> None:
+    """Write a table to a Parquet file; a failure leaves no partial file."""
     atomic_write(path, lambda part: pq.write_table(table, part))
 
 
 def _save_map(name: str, record: MapRecord, folder: Path) -> None:
+    """Write the last map of a mapper as NetCDF, and its tables as Parquet files."""
     import xarray as xr  # noqa: PLC0415  (loads slowly)
 
     folder.mkdir(exist_ok=True)
@@ -399,6 +411,7 @@ def _save_map(name: str, record: MapRecord, folder: Path) -> None:
 
 
 def _load_map(name: str, folder: Path) -> MapRecord:
+    """Read the last map of a mapper and its tables from the folder of a flight."""
     path = folder / "maps" / f"{name}.nc"
     grid, layers, error = read_layers(folder, path, list(_LAYERS), _BOOLEAN_LAYERS)
     tables = {

@@ -37,10 +37,14 @@ _Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
 
 
 class _StrictRecord(BaseModel):
+    """Base class of JSON records: no conversion of types; further keys are allowed."""
+
     model_config = ConfigDict(strict=True, extra="allow")
 
 
 class _Touchdown(BaseModel):
+    """Touchdown in ``flight.json``: the fields of `vehicle.touchdown.Touchdown`."""
+
     model_config = ConfigDict(strict=True, extra="forbid")
 
     position: _Vector
@@ -55,22 +59,30 @@ class _Touchdown(BaseModel):
 
 
 class _OutcomeRecord(_StrictRecord):
+    """Landing outcome in ``flight.json``."""
+
     safe: bool
     failure_causes: list[str]
     touchdown: _Touchdown | None
 
 
 class _Seed(_StrictRecord):
+    """Entropy and spawn key of the flight's seed sequence in ``flight.json``."""
+
     entropy: _Count | list[_Count]
     spawn_key: list[Annotated[int, Field(ge=0, lt=2**32)]]
 
 
 class _Event(_StrictRecord):
+    """Event of the flight in ``flight.json``: time, s, and name."""
+
     time: float
     name: str
 
 
 class _Decision(_StrictRecord):
+    """Divert in ``flight.json``: time, s, reason, and sites before and after it, m."""
+
     time: float
     reason: str
     come_from: Annotated[_Vector, Field(alias="from")]
@@ -78,6 +90,8 @@ class _Decision(_StrictRecord):
 
 
 class _Estimate(_StrictRecord):
+    """Navigation estimate in ``flight.json``, without covariance."""
+
     time: float
     position: _Vector
     velocity: _Vector
@@ -139,6 +153,7 @@ def _reason(error: Exception, suffix: str) -> str:
 
 
 def _damaged(path: Path, reason: str) -> InputError:
+    """Return the error for a damaged file; its text has 100 characters of `reason`."""
     return InputError(
         "flight", str(path), f"must be an intact file of a flight record ({reason[:100]})",
         "Restore the file from a copy, or repeat the flight.",

@@ -45,6 +45,11 @@ def camera_pointing_state(
         Angle of the boresight from nadir, rad.
     heading
         Azimuth of the top of the image, rad.
+
+    Raises
+    ------
+    InputError
+        If the elevation of the target is unknown, or an argument is out of range.
     """
     terrain_height = float(world.terrain.elevation(target))
     if not np.isfinite(terrain_height):
@@ -74,7 +79,8 @@ def camera_pointing_state(
 def auto_exposure(camera: Camera, world: World, state: State) -> float:
     """Return the exposure time (s) at which 99.5 % of pixels stay below 0.9 full well.
 
-    `state` is the state of the lander that carries the camera.
+    A gain above 1 reduces this level in proportion. `state` is the state of the lander that carries
+    the camera. If the image is dark, the result is the exposure time of `camera`.
     """
     radiance = renderer_of(world.terrain).render(camera.view(state), world.light).radiance
     bright = float(np.percentile(radiance, 99.5))
@@ -121,16 +127,22 @@ class SceneImage:
         return Path(path)
 
     def save_truth(self, path: Path) -> None:
-        """Write radiance, range, normal and identity of every pixel to an NPZ file."""
+        """Write radiance, range, normal and identity of every pixel to an NPZ file.
+
+        The image must have been rendered with ``truth=True``.
+        """
         atomic_write(path, self._write_truth)
 
     def _repr_png_(self) -> bytes:
+        """Return the image as PNG data, which a notebook shows."""
         return cv2.imencode(".png", self.counts)[1].tobytes()
 
     def _write_png(self, path: Path) -> None:
+        """Write the image to a PNG file."""
         path.write_bytes(self._repr_png_())
 
     def _write_truth(self, path: Path) -> None:
+        """Write radiance, range, normal and identity to an NPZ file."""
         t = self.truth
         assert t is not None
         assert t.range is not None

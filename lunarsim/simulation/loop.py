@@ -41,7 +41,7 @@ def make_policy(scenario: Scenario, policy: RetargetingPolicy | str | None) -> A
     Raises
     ------
     InputError
-        If the policy does not exist.
+        If the policy does not exist, or uses the truth without stating this in its name.
     """
     made: Any = policy
     if isinstance(policy, str):
@@ -253,7 +253,10 @@ class Simulation:
     # --- the loop -------------------------------------------------------------------------
 
     def apply(self, decision: Decision) -> bool:
-        """Apply a divert decision; return False if its site is not reachable."""
+        """Apply a divert decision; return False if its new site is refused.
+
+        A site is refused if it is out of reach or out of sight, or while diverts are inhibited.
+        """
         return self.computer.apply(decision)
 
     @one_blas_thread()
@@ -275,7 +278,10 @@ class Simulation:
             self.apply(self.ask(self._oracle, self.observe()))
 
     def ask(self, policy: Any, observation: Observation) -> Decision:
-        """Return the decision of any policy on an observation, without applying it."""
+        """Return the decision of a policy on an observation, without applying it.
+
+        A policy that uses the truth also receives the true landing safety.
+        """
         if getattr(policy, "knows_truth", False):
             truth_inputs = self.truth, self.navigation_error, self.computer.cost_of
             return policy.decide_by_truth(observation, *truth_inputs)  # type: ignore[no-any-return]

@@ -14,9 +14,10 @@ _SAFE_THRESHOLD = 0.5
 
 
 def map_remark(hazard_map: HazardMap | None) -> str | None:
-    """Return a remark if a hazard map does not separate safe from unsafe terrain.
+    """Return a remark if a hazard map does not help to select a site, else None.
 
-    Return None if it does.
+    It does not help if it has no observed cell, if it classifies all or none of the observed
+    terrain safe, or if it is outside its calibrated domain.
 
     Parameters
     ----------

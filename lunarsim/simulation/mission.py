@@ -36,7 +36,7 @@ def draw_target(
     Raises
     ------
     InputError
-        If the target may lie outside the terrain.
+        If the target may lie outside the terrain, or its elevation is unknown.
     """
     offset = streams.get("target").uniform(-1.0, 1.0, 2) * np.asarray(target.scatter)
     xy = np.asarray(target.position) + offset
@@ -49,7 +49,7 @@ def draw_target(
 
 
 def check_target_area(target: PlannedSite, terrain: Terrain, lander: Lander) -> None:
-    """Check that a lander at any target in the scatter is on the terrain.
+    """Check that a lander at every possible target stands on the terrain.
 
     Raises
     ------
@@ -132,6 +132,7 @@ def plan_time_to_go(
 
 
 def _as_estimate(state: State) -> Estimate:
+    """Return a true state as an estimate at time 0, with zero covariance."""
     return Estimate(
         0.0,
         state.position,

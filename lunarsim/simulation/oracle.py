@@ -17,7 +17,8 @@ from lunarsim.parts.quantity import hidden, quantity
 from lunarsim.typing import Array
 from lunarsim.world.truth import TerrainTruth
 
-# Maximum number of sites tested for reachability, nearest first.
+# If there are n times as many sites, only every n-th in order of distance is tested for
+# reachability.
 _MAX_TESTED_SITES = 64
 # Clearance in standard deviations of the expected miss; 0.95 of all misses are smaller.
 _CLEARANCE_SIGMAS = 2.5
@@ -58,10 +59,11 @@ class TruthOracle:
         error: Array,
         cost_of: Callable[[Array], DivertCost],
     ) -> Decision:
-        """Keep a site with enough clearance; else choose the nearest reachable one.
+        """Keep a truly safe site with enough clearance; else divert to the nearest one.
 
-        Without a site of the required clearance, 0.8 of the maximum clearance is enough. If no site
-        is reachable, the site is kept.
+        The clearance is the distance to the nearest unsafe cell. If no site has the required
+        clearance, 0.8 of the maximum clearance is enough. Only a subset of many sites is tested for
+        reachability. If no tested site is reachable, the current site is kept.
 
         Parameters
         ----------

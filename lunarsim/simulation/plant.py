@@ -161,6 +161,11 @@ class Plant:
         return Measurements(self.time, tuple(items))
 
     def _measure(self, name: str, mount: Array | None) -> object:
+        """Return a measurement of a sensor by name, after a check of its type.
+
+        `mount` (3, 3) is the commanded rotation, sensor to body, which is limited to the gimbal
+        limit; None: no command.
+        """
         i = self._instruments[name]
         held = None if mount is None else limit_mount(mount.copy(), i.gimbal_limit)
         found = i.sensor.measure(self.world, self.state, self.time, i.rng, held)
@@ -227,7 +232,8 @@ class Plant:
     def _evaluate_outcome(self, touched: bool, abort: bool) -> None:
         """Set the landing outcome if the flight has ended.
 
-        `touched` states whether a pad is in contact, and `abort` whether the lander is aborting.
+        The flight ends if a pad is in contact (`touched`), if the lander is below the terrain, if
+        an aborting lander (`abort`) climbs well above the terrain, or at the time limit.
         """
         terrain = self.world.terrain
         if touched and self.legs is not None:
@@ -236,13 +242,13 @@ class Plant:
             self.outcome = evaluate_touchdown(self.lander, self.state, terrain, self.world.gravity)
         elif self.world.is_below_terrain(self.state.position, self._low):
             self.outcome = LandingOutcome(False, ("off-map",), None)
-        elif abort and self._clear:
+        elif abort and self._is_clear_of_terrain:
             self.outcome = LandingOutcome(False, (ABORTED,), None)
         elif self.time >= self._max_time:
             self.outcome = LandingOutcome(False, ("time-limit",), None)
 
     @property
-    def _clear(self) -> bool:
+    def _is_clear_of_terrain(self) -> bool:
         """Whether the lander climbs well above all terrain, which completes an abort."""
         height = self.world.height(self.state.position) - self._high
         return bool(

@@ -193,6 +193,10 @@ class Recorder:
 
 
 def _as_dict(time: float, old: Array, new: Decision) -> dict[str, Any]:
+    """Return a divert as a dictionary for the record.
+
+    `time` is in s; `old` (3,) is the site before the divert, m.
+    """
     return {"time": time, "from": old, "to": new.site, "reason": new.reason, **new.details}
 
 

@@ -186,7 +186,10 @@ def _labels(study: Study) -> dict[str, str]:
 
 
 def _joined(cases: Sequence[Case], finished: Mapping[int, Any]) -> list[dict[str, Any]]:
-    """Return the rows of the cases up to the first gap, with levels and number."""
+    """Return the rows of all cases before the first unfinished case.
+
+    Each row also gets the levels of the factors and the number of its case.
+    """
     rows = []
     for index, case in enumerate(cases):
         if index not in finished:

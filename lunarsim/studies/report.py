@@ -168,7 +168,11 @@ def difference_table(report: Report) -> Table:
 def _paired(
     rows: Sequence[Mapping[str, Any]], column: str, factors: Sequence[str]
 ) -> dict[tuple[Any, ...], Any]:
-    """Return a column by levels, number of the case, and row within the case."""
+    """Return the values of one column by case, so that two levels can be paired.
+
+    A key has the levels of `factors`, the number of the case, and the index of the row within the
+    case.
+    """
     found: dict[tuple[Any, ...], Any] = {}
     rows_of_case: Counter[tuple[Any, ...]] = Counter()
     for row in rows:

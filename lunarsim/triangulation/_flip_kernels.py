@@ -14,10 +14,12 @@ from lunarsim.triangulation._geometry_kernels import in_circle, next_edge, orien
 
 @kernel()
 def _fill_pockets(x, y, rows, cols, vertex, twin, used, border):
-    """Add triangles in pockets of the outline until it is convex.
+    """Add triangles in the notches of the mesh's outline until the outline is convex.
 
-    `border[v]` is the half-edge of the outline that starts at vertex v, or -1; `used` is the number
-    of half-edges so far. Returns their new number, or -1 if the outline cannot be closed.
+    `x` and `y` are the vertices of a mesh of `rows` x `cols`. `border[v]` is the half-edge of the
+    outline that starts at vertex v, or -1; `used` is the number of half-edges so far. `vertex`,
+    `twin` and `border` are extended in place. Returns the new number of half-edges, or -1 if the
+    outline cannot be closed.
     """
     # Start at a point of the hull: it is never in a pocket, so that one pass is sufficient.
     start = 0
@@ -86,14 +88,18 @@ def _runs_forward(x, y, first, step, count):
 
 @kernel(inline=True)
 def _link_twins(twin, e, f):
-    """Link two half-edges as twins."""
+    """Link the half-edges e and f as twins of each other in `twin`."""
     twin[e] = f
     twin[f] = e
 
 
 @kernel(inline=True)
 def _choose_diagonal(x, y, a, b, c, d):
-    """Return the Delaunay diagonal of quad abcd: 1 ac, 2 bd, 0 if neither is valid."""
+    """Return the Delaunay diagonal of the quad abcd: 1 for ac, 2 for bd.
+
+    The result is 0 if neither diagonal lies inside the quad. `x` and `y` are the coordinates of all
+    vertices, and a to d are vertex indices.
+    """
     abc = orient(x[a], y[a], x[b], y[b], x[c], y[c])
     acd = orient(x[a], y[a], x[c], y[c], x[d], y[d])
     abd = orient(x[a], y[a], x[b], y[b], x[d], y[d])
@@ -110,9 +116,10 @@ def _choose_diagonal(x, y, a, b, c, d):
 
 @kernel(inline=True)
 def _cut_quad(t, a, b, c, d, diagonal, vertex, twin):
-    """Write the triangles of a quad; return its east, north and west sides.
+    """Write the two triangles of the quad abcd into `vertex` and `twin`.
 
-    The south side is half-edge t.
+    Their half-edges are t to t + 5; half-edge t is the south side. The diagonal is ac if `diagonal`
+    is 1, otherwise bd. Returns the half-edges of the east, north and west sides.
     """
     vertex[t] = a
     vertex[t + 1] = b
@@ -132,7 +139,12 @@ def _cut_quad(t, a, b, c, d, diagonal, vertex, twin):
 
 @kernel()
 def _cut_quads(x, y, rows, cols, vertex, twin):
-    """Write two triangles for each quad of the mesh; return False if one is folded."""
+    """Write two triangles for each quad of a mesh; return whether this is possible.
+
+    The mesh has `rows` x `cols` vertices `x`, `y`, row by row. The triangles are written into
+    `vertex` and `twin`. The function stops and returns False at a folded quad, which has no
+    diagonal inside.
+    """
     south = np.empty(cols - 1, np.int64)  # upper half-edges of the quads in the previous row
     for i in range(rows - 1):
         west = -1
@@ -157,9 +169,11 @@ def _cut_quads(x, y, rows, cols, vertex, twin):
 
 @kernel()
 def triangulate_mesh(points, rows, cols):
-    """Return the Delaunay triangles of a detector's mesh; none if it folds over.
+    """Return the Delaunay triangles (m, 3) of the mesh of a detector's returns.
 
-    `points` (rows * cols, 2) are given row by row.
+    `points` (rows * cols, 2) are the returns of a detector of `rows` x `cols`, row by row, as
+    integers. The result is empty if the mesh folds over or may overlap itself. Triangles are
+    counter-clockwise.
     """
     n = rows * cols
     nothing = np.empty((0, 3), np.int64)
@@ -201,7 +215,11 @@ def triangulate_mesh(points, rows, cols):
 
 @kernel()
 def _flip_until_delaunay(x, y, vertex, twin, used):
-    """Flip edges in place until every one is Delaunay."""
+    """Flip edges until every edge is Delaunay.
+
+    `x` and `y` are the vertices; the first `used` half-edges in `vertex` and `twin` are changed in
+    place.
+    """
     stack = np.empty(used + 64, np.int64)
     for seed in range(used):
         if twin[seed] < seed:

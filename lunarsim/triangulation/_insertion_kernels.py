@@ -57,7 +57,11 @@ def _in_circumcircle(t, vertex, x, y, ghost, px, py):
 
 @kernel()
 def _first_triangle(x, y, order):
-    """Return three non-collinear points, counter-clockwise; -1 if there are none."""
+    """Return the first three points in `order` that are not collinear.
+
+    `order` are indices of points `x`, `y`. The result is three indices, counter-clockwise; (-1, -1,
+    -1) if all points are collinear.
+    """
     first = order[0]
     second = order[1] if order.size > 1 else -1
     third = -1
@@ -77,7 +81,8 @@ def _first_triangle(x, y, order):
 def _surround_by_ghosts(corner, ghost, vertex, twin):
     """Write the first triangle and a ghost triangle outside each of its edges.
 
-    A ghost triangle joins an edge of the hull to the `ghost` vertex at infinity.
+    `corner` are the three vertices. A ghost triangle joins an edge of the hull to the `ghost`
+    vertex at infinity. The triangles are written into `vertex` and `twin`.
     """
     for e in range(3):
         vertex[e] = corner[e]
@@ -94,7 +99,10 @@ def _surround_by_ghosts(corner, ghost, vertex, twin):
 
 @kernel(inline=True)
 def _find_triangle(px, py, t, x, y, ghost, vertex, twin):
-    """Return the triangle (ghost triangle) that contains p, by a walk from triangle t."""
+    """Return the triangle that contains point (px, py), by a walk from triangle t.
+
+    If the point is outside the hull, the result is the ghost triangle of a hull edge that faces it.
+    """
     if vertex[3 * t + 2] == ghost:
         t = twin[3 * t] // 3
     came = -1
@@ -116,10 +124,11 @@ def _find_triangle(px, py, t, x, y, ghost, vertex, twin):
 
 @kernel(inline=True)
 def _dig_cavity(px, py, t, x, y, ghost, vertex, twin, marked, stack, cavity, rim):
-    """List the triangles whose circumcircle contains p (the cavity), and its rim.
+    """List the triangles whose circumcircle contains a point: the cavity, and its rim.
 
-    `cavity` receives the triangles, including t, and `rim` the adjacent half-edges outside. Returns
-    their numbers; `marked` and `stack` are scratch.
+    The point is (px, py), and t is a triangle that contains it. `cavity` receives the triangles,
+    including t, and `rim` the half-edges of the adjacent triangles outside. Returns the numbers of
+    both; `marked` (all 0, also afterwards) and `stack` are scratch.
     """
     top = 1
     stack[0] = t
@@ -149,7 +158,11 @@ def _dig_cavity(px, py, t, x, y, ghost, vertex, twin, marked, stack, cavity, rim
 
 @kernel(inline=True)
 def _write_fan_triangle(t, a, b, p, ghost, vertex):
-    """Write triangle t with vertices a, b, p, `ghost` last; return half-edge a to b."""
+    """Write triangle t with the vertices a, b, p; return its half-edge from a to b.
+
+    The triangle is written into `vertex`. If a or b is the `ghost` vertex, the order is rotated so
+    that this vertex is last.
+    """
     if a == ghost:
         vertex[3 * t] = b
         vertex[3 * t + 1] = p
@@ -168,10 +181,11 @@ def _write_fan_triangle(t, a, b, p, ghost, vertex):
 
 @kernel(inline=True)
 def _fill_by_fan(p, cavity_size, rim_size, count, ghost, vertex, twin, cavity, rim, fan):
-    """Fill a cavity by triangles from p to its rim; return the last one and `count`.
+    """Fill a cavity by triangles from vertex p to its rim.
 
     The cavity has `cavity_size` triangles, whose indices are reused, and `rim_size` half-edges;
-    `count` is the number of all triangles. `fan` is scratch.
+    `count` is the number of all triangles. `vertex` and `twin` are changed in place; `rim` is
+    overwritten and `fan` is scratch. Returns the last triangle written and the new `count`.
     """
     t = count
     for h in range(rim_size):
@@ -213,7 +227,10 @@ def _without_ghosts(vertex, count, ghost):
 
 @kernel()
 def insert_all(points, order):
-    """Return the Delaunay triangles (m, 3) of distinct points in given order.
+    """Return the Delaunay triangles (m, 3) of distinct points, inserted one by one.
+
+    `points` (n, 2) are integers and `order` their indices in the order of insertion. The result is
+    empty if all points are collinear.
 
     A ghost triangle has its ghost vertex last, so that its half-edge 0 is the hull edge seen from
     outside.

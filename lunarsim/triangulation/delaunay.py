@@ -55,7 +55,8 @@ def delaunay(xy: ArrayLike) -> IntArray:
     Returns
     -------
     triangles
-        Indices into `xy` (m, 3), counter-clockwise; empty if all points are collinear.
+        Indices into `xy` (m, 3), counter-clockwise; empty for fewer than 3 points, or if all points
+        are collinear.
 
     Raises
     ------

@@ -179,7 +179,7 @@ def _flat_step(y, dt, thrust_command, torque, params, inertia, rig, work, width)
 
 @kernel(inner=True)
 def rk4_step(y, dt, thrust_command, torque, params, inertia, rig, work):
-    """Advance bodies (15, N) by one classical Runge-Kutta step in place.
+    """Advance bodies `y` (15, N) by one Runge-Kutta step of `dt` seconds in place.
 
     `thrust_command` (N,) and `torque` (3, N) are the commands of each body, `params` (5, N) its
     parameters (gravity, exhaust velocity, thrust lag, dry and wet mass); `inertia` (2, 3) are the
@@ -197,10 +197,10 @@ def rk4_step(y, dt, thrust_command, torque, params, inertia, rig, work):
 
 @kernel()
 def advance_bodies(y, dt, thrust_command, torque, params, inertia, rig, work):
-    """Advance bodies (15, N) by one step, and limit their propellant, in place.
+    """Advance bodies (15, N) by one step in place, with limited propellant.
 
-    The commanded thrust of an engine without propellant becomes 0. The arguments are those of
-    `rk4_step`.
+    For an engine without propellant, `thrust_command` and thrust become 0; no mass falls below that
+    of empty tanks. The arguments are those of `rk4_step`.
     """
     # Thruster propellant is summed elsewhere: allow for rounding.
     thruster_propellant = (1.0 - 1e-6) * rig[16]
@@ -215,7 +215,7 @@ def advance_bodies(y, dt, thrust_command, torque, params, inertia, rig, work):
 
 @kernel()
 def advance_body(y, dt, thrust, torque, params, inertia, rig, work):
-    """Advance the state y (15,) of one body by one step in place.
+    """Advance the state `y` (15,) of one body by a step of `dt` seconds in place.
 
     `thrust` is the input of the engine's lag, N, and `torque` (3,) about the body's origin, N m.
     `params`: gravity, exhaust velocity, thrust lag, dry and wet mass; `inertia` (2, 3): principal

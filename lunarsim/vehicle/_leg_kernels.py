@@ -31,9 +31,9 @@ def compute_contact(y, pad, leg_state, leg_params, heights, frame, out):
     `y` (15,) is the lander's state and `pad` (3,) the pad in body axes, m. `leg_state` (5,) is the
     crushed length, the compression of spring and damper, and the contact point to which the pad
     sticks (3,), NaN for a free pad. `leg_params` (6,) is stiffness, damping, crush force, friction,
-    radius of the pad, stroke. `heights` and `frame` are the raster of `TerrainPatch`. `out` (12,):
-    force (3), position (3), velocity (3) of the pad, ENU; compression of spring and damper, its
-    rate, and the normal force before the crush limit.
+    radius of the pad, stroke. `heights` and `frame` are the raster of `TerrainPatch`; unknown
+    terrain gives no contact. `out` (12,): force (3), position (3), velocity (3) of the pad, ENU;
+    compression of spring and damper, its rate, and the normal force before the crush limit.
     """
     qx, qy, qz, qw = y[6], y[7], y[8], y[9]
     wx, wy, wz = y[10], y[11], y[12]
@@ -105,8 +105,8 @@ def compute_loads(y, pads, leg_states, leg_params, heights, frame, rig, torque, 
     """Compute force and torque of all legs on the body; return the absorbed power, W.
 
     The total force is written into `rig[:3]` and the torque into `torque`, body axes. `pads` (n, 3)
-    are in body axes, m, `leg_states` (n, 5) the states of the legs; the other arguments are those
-    of `compute_contact`.
+    are in body axes, m, `leg_states` (n, 5) the states of the legs; `out` (12,) is scratch. The
+    other arguments are those of `compute_contact`.
     """
     power = 0.0
     total = np.zeros(3)
@@ -138,8 +138,8 @@ def compute_loads(y, pads, leg_states, leg_params, heights, frame, rig, torque, 
 def update_yield(y, dt, pads, leg_states, leg_params, heights, frame, out):
     """Update crushed lengths and slipping contact points of the legs after a step.
 
-    `leg_states` (n, 5) are the states of the legs, in place, and `dt` is the step, s; the other
-    arguments are those of `compute_contact`.
+    `leg_states` (n, 5) are the states of the legs, in place, and `dt` is the step, s; `out` (12,)
+    is scratch. The other arguments are those of `compute_contact`.
     """
     for n in range(pads.shape[0]):
         leg_state = leg_states[n]

@@ -98,7 +98,10 @@ class Actuators:
         return thrust
 
     def advance(self, dynamics: Dynamics, state: State, throttle: float) -> State:
-        """Return the lander's state one step later for a throttle setting, N."""
+        """Return the lander's state one step later for a throttle setting, N.
+
+        Gimbal, valves and thruster propellant are advanced too.
+        """
         share = self._on_fractions()
         limit = self.step * self.lander.engine.gimbal_rate
         self.gimbal = self.gimbal + np.clip(self._gimbal_command - self.gimbal, -limit, limit)

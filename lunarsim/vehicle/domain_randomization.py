@@ -143,7 +143,12 @@ class DomainRandomization:
 
     @property
     def ranges(self) -> Array:
-        """Ranges (12,), SI units, from which compiled functions sample the parameters."""
+        """Ranges (12,), SI units, from which compiled functions sample the parameters.
+
+        They are the half ranges of payload, specific impulse, thrust scale, thrust lag and thrust
+        offset (x, y); the latest time of a failure; the probabilities of engine and torque failure;
+        the minimum remaining fraction; the maximum delays of observations and commands.
+        """
         return np.array([
             self.payload, self.specific_impulse, self.thrust_scale, self.thrust_lag,
             self.thrust_offset,

@@ -191,7 +191,8 @@ def _belly_clearance(lander: Lander, state: State, patch: TerrainPatch, shift: A
 def settle(legs: Legs, dynamics: Dynamics, state: State, terrain: ElevationModel) -> RestState:
     """Simulate a lander on its legs from touchdown to rest or tip-over, engine off.
 
-    `state` is the state at touchdown. Returns the final state and the loads of the legs.
+    `state` is the state at touchdown. The simulation also ends after `legs.max_time` and beyond the
+    known terrain. Returns the final state and the loads of the legs.
     """
     lander = dynamics.lander
     patch = TerrainPatch.of(lander, state, terrain)
@@ -253,6 +254,7 @@ def settle(legs: Legs, dynamics: Dynamics, state: State, terrain: ElevationModel
 
 
 def _tilt(state: State) -> float:
+    """Return the angle between body z and the vertical, rad."""
     return float(np.arccos(np.clip(quat_to_matrix(state.attitude)[2, 2], -1.0, 1.0)))
 
 
@@ -264,7 +266,8 @@ def evaluate_motion(
     Limits are checked in this order: ``off-map``, ``tip-over``, ``unsettled``, ``legs`` (a leg's
     stroke is used up), ``belly`` (the underside touched the terrain), ``slope`` (the final tilt
     exceeds the lander's slope limit). The values at touchdown are those of `evaluate_touchdown`.
-    Returns the outcome and the state at rest; None if the terrain at touchdown is unknown.
+    Returns the outcome, and the final state with the loads of the legs, which is None if the
+    terrain at touchdown is unknown.
     """
     lander = dynamics.lander
     static = evaluate_touchdown(lander, state, terrain, dynamics.gravity)

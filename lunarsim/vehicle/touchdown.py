@@ -169,5 +169,8 @@ def touchdown_params(lander: Lander, gravity: float) -> core.TouchdownParams:
 
 
 def violated_limits(failed: int) -> tuple[str, ...]:
-    """Return the names of the violated limits, the bits of `failed`."""
+    """Return the names of the violated limits, the bits of `failed`.
+
+    `failed` is the result of `core.touchdown.evaluate_touchdown`; 0 gives an empty tuple.
+    """
     return tuple(name for bit, name in enumerate(TOUCHDOWN_LIMITS) if failed >> bit & 1)

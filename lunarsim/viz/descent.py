@@ -32,7 +32,7 @@ _PHASES = {1: "vertical descent", 2: "abort", 3: "braking"}
 def draw_descent(flight: Flight, path: Path | None = None) -> Figure:
     """Draw a flight's altitude profile, and speeds, tilt, thrust and events over time.
 
-    The figure is also written to the PNG file `path` if it is given.
+    The figure is returned, and also written to the PNG file `path` if it is given.
     """
     figure = new_figure(12, 8.2)
     names = ("events", "speed", "tilt", "thrust", "propellant")
@@ -58,7 +58,11 @@ def draw_descent(flight: Flight, path: Path | None = None) -> Figure:
 
 
 def _event_marks(flight: Flight) -> list[tuple[str, str, str, list[float]]]:
-    """Return label, marker, colour and times (s) of each kind of event in a flight."""
+    """Return label, marker, colour and times (s) of each kind of event in a flight.
+
+    Kinds without an event are omitted. Of scans, images and locks, only the first is given if there
+    are more than 8.
+    """
     found = []
     for name, (label, marker, colour) in _EVENT_STYLES.items():
         times = [float(e["time"]) for e in flight.events if e["name"] == name]

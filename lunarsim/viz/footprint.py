@@ -29,14 +29,15 @@ def draw_footprint(flight: Flight, world: World, path: Path | None = None) -> Fi
     """Draw terrain at touchdown relative to the pads, and metrics over their limits.
 
     Heights refer to a plane through three pads that the lander can stand on. Of the two candidate
-    planes, the one with the highest terrain above it is used, as for the touchdown roughness.
+    planes, the one with the highest terrain above it is used, as for the touchdown roughness. The
+    figure is returned.
 
     Parameters
     ----------
     flight, world
         Record with a touchdown, and the world of the flight.
     path
-        PNG file to write.
+        PNG file to write; None: no file.
     """
     touchdown = flight.outcome.touchdown
     assert touchdown is not None

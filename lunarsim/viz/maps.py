@@ -40,8 +40,8 @@ _LINE_LENGTH = {True: 34, False: 60}
 _MAX_CELLS = 1500
 
 
-def _path_and_sites(axes: Any, flight: Flight, radius: float) -> None:
-    """Draw ground track, landing sites and touchdown in the true frame.
+def _draw_path_and_diverts(axes: Any, flight: Flight, radius: float) -> None:
+    """Draw ground track, initial aim point, diverts and touchdown in the true frame.
 
     `radius` is the radius of the circle at the touchdown, m.
     """
@@ -92,7 +92,7 @@ def draw_maps(
     _draw_measurements(figure, panels[3], flight)
     outlines = draw_reach(panels[2], flight, bounds)
     for panel in panels:
-        _path_and_sites(panel, flight, truth.lander.leg_radius)
+        _draw_path_and_diverts(panel, flight, truth.lander.leg_radius)
         panel.set_xlim(west, east)
         panel.set_ylim(south, north)
         # Align panels with and without a colour bar at the top.
@@ -124,14 +124,15 @@ def _draw_truth(figure: Any, left: Any, right: Any, truth: TerrainTruth) -> None
 def _draw_map(figure: Any, panel: Any, flight: Flight, line_length: int) -> None:
     """Draw the hazard map used for the decision, and the candidate sites.
 
-    `line_length` is the maximum number of characters per line of a remark.
+    Remarks on the mapper, if there are any, are added as text; `line_length` is the maximum number
+    of characters per line. Without a hazard map the panel is empty.
     """
     if flight.hazard_map is not None:
         shown = np.where(flight.hazard_map.observed, flight.hazard_map.p_safe, np.nan)
         grid = flight.hazard_map.grid.moved(-flight.map_error)
         image = show(panel, shown, grid, cmap="viridis", vmin=0.0, vmax=1.0)
         _add_colour_bar(figure, image, panel, "Probability of safety")
-        _hatch_bounds(panel, flight.hazard_map, grid)
+        _hatch_outside_domain(panel, flight.hazard_map, grid)
         sites = flight.candidates[:, :2] - flight.map_error[:2]
         panel.plot(*sites.T, **_CANDIDATE)
     map_axes(panel, "Hazard map and candidate sites")
@@ -146,14 +147,17 @@ def _draw_map(figure: Any, panel: Any, flight: Flight, line_length: int) -> None
 
 
 def _add_colour_bar(figure: Any, drawn: Any, panel: Any, label: str) -> Any:
-    """Draw a colour bar below its panel, clear of the next panel's axis."""
+    """Draw a colour bar below its panel, clear of the next panel's axis; return it.
+
+    `drawn` is the image whose colours the bar explains.
+    """
     return figure.colorbar(drawn, ax=panel, label=label, location="bottom", shrink=0.8, aspect=30)
 
 
-def _hatch_bounds(panel: Any, hazard_map: HazardMap, grid: Grid) -> None:
+def _hatch_outside_domain(panel: Any, hazard_map: HazardMap, grid: Grid) -> None:
     """Hatch the cells outside the calibrated domain, where p_safe is heuristic.
 
-    `grid` is the grid of the map in the true frame.
+    `grid` is the grid of the map in the true frame. Nothing is drawn if the map has no domain.
     """
     if hazard_map.in_domain is None:
         return

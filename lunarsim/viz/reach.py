@@ -17,9 +17,10 @@ _LINES = (("first", "-"), ("last", ":"))
 
 
 def draw_reach(panel: Any, flight: Flight, extent: tuple[float, float, float, float]) -> list[Any]:
-    """Draw the area that the lander can reach at the first and the last decision.
+    """Draw outlines of the area in reach at the first and the last possible decision.
 
-    The function returns the legend entries.
+    The function returns the legend entries; they are empty if no decision was possible. An outline
+    is omitted if none or all of the panel is in reach.
 
     Parameters
     ----------

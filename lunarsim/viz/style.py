@@ -65,7 +65,10 @@ def flight_title(flight: Flight) -> str:
 
 
 def policy_colour(name: str) -> str:
-    """Return the colour of a policy by its name, the same in every figure."""
+    """Return the colour of a policy by its name, the same in every figure.
+
+    Policies that are not in `POLICY_COLOURS` share one colour.
+    """
     return POLICY_COLOURS.get(name, "#56B4E9")
 
 

@@ -215,7 +215,8 @@ class FarTerrain:
     def elevation(self, arc: ArrayLike) -> Array:
         """Return the terrain height above the sphere (...,), m, at surface points.
 
-        `arc` (..., 2) are arc lengths east and north, m, as returned by `surface_arc`.
+        `arc` (..., 2) are arc lengths east and north, m, as returned by `surface_arc`. On the map
+        the height is that of the map; beyond its edge it blends into the sum of the levels.
         """
         xy = np.asarray(arc, dtype=np.float64)
         flat_arc = xy.reshape(-1, 2)

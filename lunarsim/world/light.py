@@ -211,7 +211,7 @@ class Light:
 
     @property
     def _photometry_key(self) -> Light:
-        """Copy of the settings with a fixed Sun direction, used as a cache key."""
+        """Copy of the photometric settings with a fixed Sun direction, as a cache key."""
         return Light(
             0.0, 0.5, self.albedo, 0.0, self.photometry, self.hapke_b, self.hapke_c,
             self.hapke_surge, self.hapke_surge_width, self.hapke_roughness,
@@ -235,10 +235,11 @@ _COSINES = np.linspace(0.01, 1.0, 34)
 
 @lru_cache(maxsize=16)
 def _hemispherical_albedos(light: Light) -> tuple[Array, float]:
-    """Return hemispherical albedos at incidence cosines `_COSINES`; diffuse albedo.
+    """Return hemispherical albedos (34,) and the diffuse albedo of a light's terrain.
 
-    The reflection model of `light` is integrated over all emission directions. The diffuse
-    albedo is that under uniform light.
+    The hemispherical albedos are those at the incidence cosines `_COSINES`: the reflection model of
+    `light` is integrated over all emission directions. The diffuse albedo is that under uniform
+    light.
     """
     mu, weight = np.polynomial.legendre.leggauss(24)
     mu, weight = 0.5 * (mu + 1.0), 0.5 * weight

@@ -149,7 +149,9 @@ def simulate_survey(
     area = grid.rows * grid.cols * grid.posting**2
     patches = round(outdated_fraction * area / outdated_patch_side**2)
     if patches:
-        mean = mean + _stale_patches(grid, patches, outdated_patch_side, outdated_height_sigma, rng)
+        mean = mean + _outdated_patch_errors(
+            grid, patches, outdated_patch_side, outdated_height_sigma, rng
+        )
     elevation = mean + sigma * _noise(grid, correlation, rng)
     if void_fraction > 0.0:
         elevation[rng.random(grid.shape) < void_fraction] = np.nan
@@ -175,7 +177,7 @@ def _noise(grid: Grid, correlation: float, rng: np.random.Generator) -> Array:
     return np.asarray(smooth[inner] / gain)
 
 
-def _stale_patches(
+def _outdated_patch_errors(
     grid: Grid, patches: int, side: float, sigma: float, rng: np.random.Generator
 ) -> Array:
     """Return height errors (rows, cols), m, that are non-zero in out-of-date patches.

@@ -58,7 +58,8 @@ class TerrainTruth:
             Cell size, m.
         bounds
             West, east, south and north edges of the part to evaluate, m; omitted: the complete
-            terrain. Cells coincide with those of the complete terrain.
+            terrain. The part is extended by the reach of the lander's footprint. Cells coincide
+            with those of the complete terrain.
         """
         west, east, south, north = world.terrain.bounds
         grid = Grid.centred(

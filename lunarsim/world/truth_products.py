@@ -41,7 +41,8 @@ class TruthProducts:
     safe
         Exact safety for the lander at every heading (Definition III.1 of the Gaussian DEM paper).
     shadow
-        Whether the cell's centre is in shadow; True everywhere at night.
+        Whether the cell's centre is in shadow; False where the elevation is unknown. With the Sun
+        below the horizon, all other cells are True.
     """
 
     grid: Grid
@@ -60,9 +61,10 @@ class TruthProducts:
         normal = terrain.normal(centres)
         slope = np.arccos(np.clip(normal[..., 2], -1.0, 1.0))
         sun = world.light.direction
-        dark = np.einsum("ijk,k->ij", normal, sun) <= 0.0
+        known = np.isfinite(elevation)
+        dark = known & ((np.einsum("ijk,k->ij", normal, sun) <= 0.0) | (sun[2] <= 0.0))
         if sun[2] > 0.0:
-            lit = ~dark & np.isfinite(elevation)
+            lit = known & ~dark
             points = np.dstack((centres, elevation.astype(np.float64)))
             start = points + _RAY_OFFSET_M * normal
             rays = np.broadcast_to(sun, (int(lit.sum()), 3))
@@ -97,7 +99,8 @@ def truth_grid(world: World, centre: tuple[float, float], size: float, posting: 
     Raises
     ------
     InputError
-        If a value is not positive or the square extends beyond the terrain.
+        If `posting` is not positive, if the square has fewer than 10 or more than 8,000 cells along
+        a side, or if it extends beyond the terrain.
     """
     if not (np.isfinite(posting) and posting > 0.0):
         raise InputError("--posting", posting, "must be positive and finite")

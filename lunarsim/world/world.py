@@ -30,7 +30,7 @@ class World:
     far_terrain
         Terrain beyond the map on the spherical Moon; None: rays that leave the map hit nothing.
     light
-        Sun, Earth and photometry of the terrain; only cameras use it.
+        Sun, Earth and photometry of the terrain; cameras and star trackers depend on it.
     """
 
     terrain: Terrain
@@ -43,7 +43,8 @@ class World:
         """Intersect rays with the map; if they miss the map, with the far terrain.
 
         `origin` (3,), ENU, m, is the start of the rays, `direction` (n, 3) their unit vectors and
-        `max_range` the maximum range, m. Returns range, normal and rock of each hit.
+        `max_range` the maximum range, m. Returns range, normal and rock index of each first hit. A
+        ray that hits neither has NaN and the index -2.
         """
         hits = self.terrain.cast(origin, direction, max_range)
         if self.far_terrain is None or np.isfinite(hits.range).all():
@@ -59,7 +60,8 @@ class World:
     def is_below_terrain(self, position: Array, min_elevation: float) -> bool:
         """Return whether a position (3,), ENU, m, is more than 1 m below the terrain.
 
-        Without far terrain, the limit is the terrain's `min_elevation`, m.
+        With far terrain, the terrain at the position counts. Without it, the position must be more
+        than 1 m below `min_elevation`, the minimum elevation of the map, m.
         """
         if self.far_terrain is not None:
             return bool(self.far_terrain.clearance(position) < -1.0)

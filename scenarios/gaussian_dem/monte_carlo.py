@@ -94,10 +94,11 @@ def compare_safety_tests(
 ) -> dict[str, Any]:
     """Compare two safety tests with the safe fraction of sampled terrains per cell.
 
-    `configuration` and `seed` select the scan; `safe_fraction` (rows, cols) is the sampled safe
-    fraction. The result holds, by method, bias (mean p minus fraction), RMS difference, fraction of
-    cells with p more than 0.1 too high ("over") and calibration counts ("table"); also the mean
-    sampled and true safe fractions and the number of cells.
+    The tests are Eqs. 15 to 17 of the Gaussian DEM paper, and support planes
+    (`plane_stochastic_safety`). `configuration` and `seed` select the scan; `safe_fraction` (rows,
+    cols) is the sampled safe fraction. The result holds, by test, bias (mean p minus fraction), RMS
+    difference, fraction of cells with p more than 0.1 too high ("over") and calibration counts
+    ("table"); also the mean sampled and true safe fractions and the number of cells.
     """
     field, scan = scan_testbed(configuration, seed)
     dem = scan.dem
@@ -141,7 +142,11 @@ def draw(results: dict[str, dict[str, Any]], path: Path) -> None:
 
 
 def print_comparison(report: Report) -> None:
-    """Compare both stochastic safety tests with exact safety on the sampled terrain."""
+    """Print how p_safe of two safety tests differs from the sampled safe fraction.
+
+    The table has one row per scan and test. If there is an output folder, the comparison is also
+    plotted.
+    """
     groups = report.groups("scan")
     samples = max(map(len, groups.values()))
     table = Table(

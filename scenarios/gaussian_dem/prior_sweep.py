@@ -127,11 +127,11 @@ def print_prior_sweep(report: Report) -> None:
 def print_best_prior(
     values: dict[str, np.ndarray], scan_counts: dict[str, np.ndarray], report: Report
 ) -> None:
-    """Compare the priors of Tables 5 and 6 with the one that serves both tables best.
+    """Print the priors of Tables 5 and 6 beside the one that serves both tables best.
 
-    This is the largest sigma_f^2 / length_scale with the maximum number of scans at the negative
-    log predictive density (NLPD) of the paper. `values` are metrics (prior, configuration) by name;
-    `scan_counts` the result of `count_scans_as_published`.
+    It has the largest sigma_f^2 / length_scale among those with the maximum number of scans that
+    reach the negative log predictive density (NLPD) of the paper or a lower one. `values` are
+    metrics (prior, configuration) by name; `scan_counts` the result of `count_scans_as_published`.
     """
     most = np.flatnonzero(scan_counts["NLPD"] == scan_counts["NLPD"].max())
     own = {"Table 5": growth(DENSITY), "both": GROWTHS[most[-1]], "Table 6": growth(MARGIN)}

@@ -83,7 +83,12 @@ def model_differences() -> Table:
 
 
 def fly(case: Case) -> dict[str, Any]:
-    """Simulate one flight on both models; return the differences (m, kg) in path and propellant."""
+    """Simulate one flight on the spherical and on the flat Moon; compare the two.
+
+    "path_m" is the maximum difference of any coordinate at equal times, until the earlier
+    touchdown, m. "propellant_kg" is the propellant on the spherical Moon minus that on the flat
+    Moon, kg.
+    """
     flat = Scenario.from_dict(BASE_SCENARIO)
     a, b = (
         Simulation(s, case.seed + case.number, "no-divert").run()
@@ -97,7 +102,7 @@ def fly(case: Case) -> dict[str, Any]:
 
 
 def print_differences(report: Report) -> None:
-    """Print the differences of both Moon models and of the flights on them."""
+    """Print the differences between spherical and flat Moon: models, then flights."""
     report.print(model_differences())
     apart, more = report.column("path_m"), report.column("propellant_kg")
     report.print(

@@ -120,7 +120,8 @@ def with_ignition_start(scenario: Scenario, targets_file: str = FLOWN) -> Scenar
     The file gives position (RIGN) and horizontal speed (VIGN) at throttle-up. The speed is
     corrected for the trim at minimum thrust, as in the Apollo software Luminary 099 (IGNALG and
     DDUMCALC). The start is a coast of ZOOMTIME earlier. The coast is assumed to be horizontal at
-    RIGN because powered descent began at pericynthion.
+    RIGN because powered descent began at pericynthion. The time-to-go of the braking phase is set
+    to match the start.
     """
     t, moon = read_targets(targets_file), scenario.moon.make().gravity(scenario.gravity_m_s2)
     along, up = abs(t["RIGNZ"][0]), t["RIGNX"][2]
@@ -183,10 +184,11 @@ class DescentTrack:
 def read_flight_record() -> DescentTrack:
     """Read altitude and pitch of the Apollo 11 flight record from its file.
 
-    The platform was aligned with the vertical of the site at landing. The inner gimbal angle is
-    therefore the pitch from that vertical, without a term for the arc to the site. The Moon rotates
-    by 0.07 deg during the descent. Roll and the yaw to the face-up attitude (middle and outer
-    gimbal angles) are not used: the simulation does not include them.
+    The inertial platform was aligned with the vertical of the site at landing. The inner gimbal
+    angle is therefore the pitch from that vertical. No correction for the arc between vehicle and
+    site is needed, and the rotation of the Moon during the descent (0.07 deg) is neglected. Roll
+    and the yaw to the face-up attitude (middle and outer gimbal angles) are not used: the
+    simulation does not include them.
     """
     with (DATA / "apollo11_descent.csv").open() as file:
         rows = list(csv.DictReader(file))

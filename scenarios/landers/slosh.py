@@ -41,7 +41,11 @@ TANKS: dict[str, dict[str, object]] = {
 
 
 def fly(case: Case) -> dict[str, Any]:
-    """Simulate one flight; evaluate attitude and thrusters after the first 5 s."""
+    """Simulate one flight; evaluate attitude, thrusters, slosh and touchdown.
+
+    Attitude error and body rate are RMS values, after the first 5 s and in the last 4 s. Thruster
+    propellant, number of firings and maximum slosh angle are those of the complete flight.
+    """
     vehicle = {"kind": "jet-lander", "slosh": TANKS[case["tanks"]]}
     scenario = Scenario.from_dict(
         {**BASE_SCENARIO, "vehicle": vehicle, "control": {"kind": case["control"]}}

@@ -67,8 +67,8 @@ def first_contact_state(
 def simulate_touchdowns(case: Case) -> list[dict[str, Any]]:
     """Evaluate ten touchdowns on one terrain by static criteria and simulated motion.
 
-    A row has the failed criteria of both (empty: safe), and tilt and maximum leg stroke at rest
-    (NaN if the vehicle does not come to rest).
+    A row has the criteria that failed in each of the two evaluations (empty: safe), and tilt and
+    maximum leg stroke at rest (NaN if the vehicle does not come to rest).
     """
     combinations = list(itertools.product(case["relief"], COVERS))
     relief, cover = combinations[case.number % len(combinations)]
@@ -97,7 +97,11 @@ def simulate_touchdowns(case: Case) -> list[dict[str, Any]]:
 
 
 def print_outcomes(report: Report) -> None:
-    """Print both outcomes by terrain, and failures in motion that are safe statically."""
+    """Print touchdown outcomes by static criteria and by simulated motion.
+
+    A table counts the outcomes by slope and rock cover. Touchdowns that are safe by the static
+    criteria but tip over or fail in the simulation are counted below it.
+    """
     table = Table(title="Touchdown outcomes by static criteria and by motion")
     for name in (
         "RMS slope (deg)", "rock cover", "touchdowns", "both safe", "static only safe",

@@ -24,7 +24,8 @@ def fly_agent(
     """Fly an agent in Retarget-v0; return landing outcome and propellant per flight.
 
     `perception` is the source of the hazard maps, `worlds` the number of terrains and `seed` their
-    root seed. Flight i has the same start for all agents and all perceptions.
+    root seed. Flight i has the same start for all agents, and for all perceptions that are flown by
+    kernels.
     """
     env = gymnasium.make(
         "lunarsim/Retarget-v0", scenario=scenario, perception=perception, worlds=worlds,

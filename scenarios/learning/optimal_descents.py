@@ -239,14 +239,21 @@ def check_limits(folder: Path, remedy: str = "Use another folder for --out.") ->
 
 
 def _limits() -> dict[str, Any]:
-    """Return the limits that all descent problems have in common, for JSON."""
+    """Return the fields of an example descent problem, for JSON.
+
+    All problems share its limits (thrust, tilt, glideslope), gravity and lander parameters; a
+    stored file with other values shows that shards were solved under other limits.
+    """
     asked = asdict(problem_of(np.array([100.0, 0.0, 100.0]), np.array([0.0, 0.0, -5.0]), 1.0))
     asked = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asked.items()}
     return json.loads(json.dumps(asked))  # type: ignore[no-any-return]
 
 
 def _write_limits(folder: Path) -> None:
-    """Write the problem limits into a folder; reject a folder with other limits."""
+    """Write the limits of the descent problems into a folder of shards.
+
+    If the folder already has a file of other limits, a `click.UsageError` is raised.
+    """
     if (folder / PROBLEM).exists():
         check_limits(folder)
         return

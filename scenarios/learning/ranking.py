@@ -71,7 +71,8 @@ def count_contradictions(
     """Count the pairs of agents that surrogate and mapper rank in opposite order.
 
     `results` holds the flights by agent and perception. Returns, by metric, the number of
-    contradicting pairs, of pairs with the same order, and of all pairs.
+    contradicting pairs, of pairs with the same sign of difference (0 if the interval contains
+    zero), and of all pairs.
     """
     counts = {"safe": [0, 0, 0], "propellant": [0, 0, 0]}
     for pair in combinations(agents, 2):
@@ -89,7 +90,7 @@ def count_contradictions(
 
 
 def main() -> int:
-    """Fly the agents on surrogate and mapper and print both rankings."""
+    """Fly the agents on surrogate and mapper; print and compare the two rankings."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--scenario",

@@ -61,7 +61,7 @@ def rule_agent(observation: dict, info: dict, rng: np.random.Generator) -> int:
               help="MP4 or GIF file for a video of the last flight of the rule-based agent. "
               "Default: no video.")  # fmt: skip
 def main(episodes: int, seed: int, scenario: str | None, video: Path | None) -> None:
-    """Fly both agents over the same terrains and print their results."""
+    """Fly a random and a rule-based agent over the same terrains; print the results."""
     mode = None if video is None else "rgb_array_list"
     try:
         if video is not None:

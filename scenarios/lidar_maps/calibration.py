@@ -163,7 +163,7 @@ def split_by_scene_type(
 ) -> Iterator[tuple[str, list[SceneSites], list[SceneSites]]]:
     """Yield each scene type: its name, all other scenes, and its scenes.
 
-    A scene type is one relief, rock law, lander or range.
+    A scene type is one relief, rock law, lander or range. Types without scenes are skipped.
     """
     for axis, names, of in AXES:
         for name in names:
@@ -178,9 +178,12 @@ FIGURES = ("base", "ece", "chance", "skill", "share", "gap", "surer", "right")
 
 
 def calibration_metrics(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
-    """Return the metrics `FIGURES` of probabilities against true safety (n,).
+    """Return the metrics `FIGURES` of probabilities `p` against true safety (n,).
 
-    They are, for example, calibration error and Brier skill; NaN without sites.
+    "base": safe fraction; "ece": calibration error; "chance": its 95th percentile by chance;
+    "skill": Brier skill; "share", "gap": fraction of sites with p above 0.95, and their mean p
+    minus safe fraction; "surer", "right": fraction of sites with p above 0.99, and their safe
+    fraction. A metric without sites is NaN.
     """
     if not p.size:
         return dict.fromkeys(FIGURES, np.nan)
@@ -201,10 +204,12 @@ def calibration_metrics(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
 def worst_stratum(
     p: np.ndarray, is_calibrated: np.ndarray, sites: PooledSites, min_sites: int = 20
 ) -> tuple[float, str]:
-    """Return the minimum Brier skill over classes of slope and cover, and its class.
+    """Return the minimum Brier skill over classes of slope and rocks, and its class.
 
-    `is_calibrated` (n,) selects the sites with a calibrated p. Classes with fewer than `min_sites`
-    safe or unsafe sites are ignored.
+    The classes are those of `SLOPES` (nominal slope over its limit) and `COVERS` (fraction of
+    terrain above the roughness limit). `is_calibrated` (n,) selects the sites with a calibrated p.
+    Classes with fewer than `min_sites` safe sites or fewer than `min_sites` unsafe sites are
+    skipped; if all are, the result is infinity and "".
     """
     worst = (np.inf, "")
     k = is_calibrated

@@ -214,7 +214,7 @@ Maps = dict[str, HazardMap]
 
 
 def fly(world_name: str, flight: int, root_seed: int) -> dict[str, Any]:
-    """Simulate the flights over one terrain, one with each map and policy.
+    """Simulate the flights over one terrain, one with each map and policy of `WAYS`.
 
     `world_name` is a name in `WORLDS`; the number of the flight and the root seed determine the
     random numbers.

@@ -27,10 +27,11 @@ class SceneSites:
     """Evaluated landing sites of one scene: inputs of the calibration and true safety.
 
     `features` (n, features) are the inputs of the calibrated probability, `known` (n,) whether a
-    site is in its domain. `observed_terrain_bound` is an upper bound of p_safe everywhere,
-    `outside_domain_bound` only outside the domain. Only sites with `doomed` may be classified as
-    certainly unsafe. `cover` (rock cover of the scene) and `slope` (n,) select the stratum; `safe`
-    (n,) is the truth.
+    site is in its domain. `observed_terrain_bound` (n,) is an upper bound of p_safe everywhere,
+    `outside_domain_bound` (n,) only outside the domain. Only sites with `doomed` (n,) may be
+    classified as certainly unsafe. `slope` (n,), the nominal slope over its limit, and `cover`, the
+    estimated fraction of terrain above the roughness limit, select the stratum; `safe` (n,) is the
+    truth.
     """
 
     scene: LidarScene
@@ -47,7 +48,10 @@ class SceneSites:
     def of(
         cls, scene: LidarScene, evidence: CalibrationEvidence, where: np.ndarray, safe: np.ndarray
     ) -> SceneSites:
-        """Collect the sites of a scene in the mask `where`; `safe` (n,) is their true safety."""
+        """Collect the sites of a scene in the mask `where`.
+
+        `safe` (n,) is the true safety of these sites.
+        """
         e = evidence
         return cls(
             scene,

@@ -123,7 +123,11 @@ def plain_sums(sums: Mapping[str, Consistency]) -> dict[str, list[float]]:
 def mean_nees(
     errors: Iterable[np.ndarray], covariances: Iterable[np.ndarray], components: np.ndarray
 ) -> float | None:
-    """Return the mean NEES of selected errors per degree of freedom over the epochs of a flight."""
+    """Return the mean NEES of selected errors per degree of freedom, over epochs.
+
+    `errors` (9,) and `covariances` (9, 9) are those of one flight at each epoch, and `components`
+    the selected indices. Without epochs, the result is None.
+    """
     squares = [
         normalised_squared_error(error[components], covariance[np.ix_(components, components)])
         for error, covariance in zip(errors, covariances, strict=True)
@@ -134,7 +138,9 @@ def mean_nees(
 def landing_table(flights_by_variant: Mapping[str, Sequence[Row]]) -> Table:
     """Return the table of landing results by variant of the study.
 
-    A variant is an initial error with a kind of navigation. The others are compared with the first.
+    A variant is a combination of initial error and kind of navigation. From the second variant on,
+    a row counts the flights in which only this variant or only the first one landed safely, with
+    the p-value of a sign test.
     """
     table = Table(title="Landings")
     for heading in ("initial error\n(1 sigma per axis, m), kind", "initial error,\nmedian (m)",
@@ -162,7 +168,10 @@ def landing_table(flights_by_variant: Mapping[str, Sequence[Row]]) -> Table:
 
 
 def print_consistency(report: Report) -> None:
-    """Print NEES, NIS and landings; exit with status 1 if `--check` finds inconsistencies."""
+    """Print NEES, NIS and landings; with `--check`, also the inconsistencies.
+
+    If there are inconsistencies, the command exits with status 1.
+    """
     by_variant = {name: rows for (name,), rows in report.groups("variant").items()}
     for name, rows in by_variant.items():
         report.print(f"Initial error: {name}")

@@ -119,8 +119,10 @@ def nis_table(flights: Sequence[Row], column: str, title: str) -> Table:
 def inconsistencies(flights: Sequence[Row], lower_factor: float) -> list[str]:
     """Return a text for each inconsistency between navigation errors and covariance.
 
-    `lower_factor` multiplies the lower bound of NEES (normalised estimation error squared). With a
-    value below 1, larger covariances are permitted.
+    A text reports more than 2 % of flights that ended lost, an error of more than five standard
+    deviations in a flight that did not, or NEES or NIS (normalised squared errors and innovations)
+    outside their bounds at an epoch. `lower_factor` multiplies the lower bound of NEES; below 1,
+    larger covariances are permitted. The list is empty if navigation is consistent.
     """
     out = []
     lost = sum(f["lost"] for f in flights)

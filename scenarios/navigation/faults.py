@@ -72,7 +72,10 @@ def drop_samples(samples: InertialSamples, fault: FaultState) -> InertialSamples
 
 
 def add_gyroscope_spike(samples: InertialSamples, fault: FaultState) -> InertialSamples:
-    """Rotate one inertial sample per cycle by slightly less than the rejection limit."""
+    """Add a spike to one gyroscope sample per cycle, just below the rejection limit.
+
+    The spike is a rotation about the x axis.
+    """
     angle = samples.angle.copy()
     angle[len(angle) // 2, 0] += (
         0.95 * STEP * (fault.limits.max_change[0] + 0.8 * fault.limits.max_noise[0])

@@ -82,10 +82,11 @@ def fly(case: Case) -> dict[str, Any]:
 
 
 def miss_texts(miss: np.ndarray, expected: np.ndarray) -> tuple[str, str]:
-    """Format the distances of touchdowns from the site, and their expected values (n,), m.
+    """Format the distances of touchdowns from the site and their expected values.
 
-    Returns two texts: median, 95th percentile and maximum miss (m); median expected miss (m) and
-    RMS of the ratio of miss to expectation.
+    `miss` and `expected` are (n,), m. Returns two texts: median, 95th percentile and maximum miss
+    (m); median expected miss (m) and RMS of the ratio of miss to expectation. Without a touchdown
+    they are "no touchdown" and "".
     """
     down = miss[np.isfinite(miss)]
     if len(down) == 0:
@@ -99,7 +100,10 @@ def miss_texts(miss: np.ndarray, expected: np.ndarray) -> tuple[str, str]:
 
 
 def print_landings(report: Report) -> None:
-    """Print landing results by scenario and kind of navigation, and the failed landings."""
+    """Print landing results by scenario and kind of navigation.
+
+    The failed landings are listed below the table.
+    """
     table = Table(title="Onboard instruments compared with fixes over the same terrain")
     for left in ("scenario", "navigation"):
         table.add_column(left)

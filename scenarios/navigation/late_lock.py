@@ -97,9 +97,10 @@ def max_error_sigma(simulation: Simulation) -> float:
 
 
 def print_landings(report: Report) -> None:
-    """Print landing results by time of map availability.
+    """Print landing results by time of map availability and initial error.
 
-    A variant is a time with an initial error. The others are compared with the first.
+    A variant is a combination of these two. From the second variant on, a row counts the flights in
+    which only this variant or only the first one landed safely, with the p-value of a sign test.
     """
     table = Table(title="Landings by the time at which the map becomes available")
     for heading in ("map available from, initial error", "flights with\na lock",

@@ -121,7 +121,10 @@ def fly(case: Case) -> dict[str, Any]:
 
 
 def print_declared(report: Report) -> None:
-    """Print the number of large errors and of declared failures by fault."""
+    """Print the number of large errors and of declared failures by fault.
+
+    With `--cells`, the errors of every flight are printed first.
+    """
     for f in report.rows if report.options["cells"] else ():
         off = ", ".join(f"{w:.1f}" for w in f["error_sigmas"])
         report.print(

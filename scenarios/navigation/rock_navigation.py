@@ -185,7 +185,11 @@ class RockNavigationErrors:
         )
 
     def relative_to_rocks(self) -> float:
-        """Return the position error relative to nearby rocks, in standard deviations."""
+        """Return the position error relative to nearby rocks, in standard deviations.
+
+        It is the larger of the values east and north, and 0 if fewer than five large rocks are
+        tracked within 30 m.
+        """
         tracker, rocks = self.mapper.tracker, self.mapper.tracker.filter
         away = np.hypot(*(rocks.xy - rocks.inertial.position[:2]).T)
         at = np.flatnonzero((tracker.existence > 0.9) & (rocks.radius > 0.25) & (away < 30.0))
@@ -200,7 +204,10 @@ class RockNavigationErrors:
 
 
 def print_declared(report: Report) -> None:
-    """Print the number of large errors and of declared failures by condition."""
+    """Print the number of large errors and of declared failures by condition.
+
+    With `--cells`, the errors of every flight are printed first.
+    """
     for f in report.rows if report.options["cells"] else ():
         off = ", ".join(f"{w:.1f}" for w in f["error_sigmas"])
         fault = f["fault"] if f["fault"] in FAULTS else "no fault"

@@ -62,7 +62,7 @@ def count_text(count: int, total: int) -> str:
     required=True,
 )  # fmt: skip
 def main(folders: tuple[Path, ...]) -> None:
-    """Count undeclared failures and false declarations in result FOLDERS of the studies."""
+    """Count undeclared failures and false declarations in result FOLDERS of studies."""
     flights: dict[str, list[Row]] = {}
     for folder in folders:
         flights[folder.resolve().name] = json.loads((folder / "results.json").read_text())["rows"]

@@ -75,7 +75,10 @@ def make_simulation(field: int, seed: int, folder: Path) -> Simulation:
 
 
 def fly(case: Case) -> dict[str, Any]:
-    """Simulate the LiDAR sweep over one field; return metrics."""
+    """Simulate the LiDAR sweep over one field; return metrics of map and navigation.
+
+    They are those of `fly_field`, without the arrays for figures.
+    """
     found = fly_field(case.number, case.seed)
     looks = [{k: v for k, v in one.items() if k != "maps"} for one in found["looks"]]
     return {k: v for k, v in found.items() if k != "track"} | {"looks": looks}
@@ -231,7 +234,10 @@ def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def print_fields(report: Report) -> None:
-    """Print the metrics of all fields and the sites of the first; plot the first field."""
+    """Print the metrics of all fields, and the ranked sites of the first field.
+
+    If there is an output folder, the first field is also plotted.
+    """
     summary, first = summarise(report.rows), report.rows[0]
     n, lock = summary["fields"], summary["lock_time_median_s"]
     report.print(

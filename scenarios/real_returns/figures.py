@@ -26,7 +26,8 @@ _SHOWN = (MAPPED_CELLS, "planes, fitted", "Eqs. 15-17, field of Table 6", "quadt
 def draw(report: Report, path: Path) -> None:
     """Plot the errors on a map and by predicted sigma, and the reliability of p_safe.
 
-    The rows of the report are those of `airborne.py`.
+    The rows of the report are those of `airborne.py`. A split divides the returns at random into
+    mapped and held-out ones; the map shows the first split.
     """
     heights = [row for row in report.rows if row.get("returns") == "terrain returns"]
     safety = replace(report, rows=[row for row in report.rows if row["test"] == "safety"])

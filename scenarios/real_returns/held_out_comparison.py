@@ -94,7 +94,7 @@ def dem_errors(dem: GaussianDem, held_out: np.ndarray, slope: np.ndarray) -> Hei
     """Return the height errors of a Gaussian DEM at held-out LiDAR returns.
 
     `held_out` (n, 3) are the returns, m; `slope` is the terrain slope on the DEM grid (rows, cols),
-    deg.
+    deg. Returns where the DEM or the slope is unknown are omitted.
     """
     seen = np.where(dem.observed, dem.mean, np.nan)
     mean = interpolate_raster(seen, dem.grid, held_out[:, :2])
@@ -116,7 +116,9 @@ def quadtree_errors(
     """Return the height errors of quadtree cells from the held-out returns in them.
 
     `held_out` (n, 3) are the returns, m; `slope` is the terrain slope on `grid` (rows, cols), deg.
-    The predicted sigma is that of the difference of two means, from the variance in the cell.
+    The error of a cell is its mean height minus the mean of the held-out returns; the predicted
+    sigma is that of this difference, from the variance in the cell. Cells with fewer than
+    `MIN_RETURNS` mapped or held-out returns are omitted.
     """
     tree = mapper.map
     nodes = tree.band(*mapper.selector.settings.site_band)
@@ -157,7 +159,7 @@ def cell_indices(xy: np.ndarray, corner: np.ndarray, size: float) -> np.ndarray:
 
 
 def compare_heights(cloud: AirborneCloud, seed: int) -> dict[str, HeightErrors]:
-    """Map a random half of the LiDAR returns by each method; test on the others.
+    """Map a random half of the LiDAR returns by each method; test on the other half.
 
     Returns the height errors by name of the method.
     """
@@ -211,7 +213,7 @@ class SafetyComparison:
 
 
 def compare_safety(cloud: AirborneCloud, mapped_fraction: float, seed: int) -> SafetyComparison:
-    """Map a fraction of the LiDAR returns; test p_safe on the others.
+    """Map a fraction of the LiDAR returns; test p_safe on the other returns.
 
     The lander is scaled with the spacing of the mapped returns.
     """

@@ -132,8 +132,8 @@ def one_step_dem(points: np.ndarray, grid: Grid, prior: dict[str, float]) -> Gau
 def stepwise_dem(points: np.ndarray, grid: Grid, spacing: float, steps: int) -> GaussianDem:
     """Compute the Gaussian DEM of returns that are inserted in several steps.
 
-    This is the method of the onboard mapper.
-    `spacing` is the mean spacing of all returns, m.
+    This is the method of the onboard mapper. `points` (n, 3) are all returns, m, and `spacing`
+    their mean spacing, m; each step inserts an equal part of them.
     """
     pool = SamplePool(grid)
     for n in range(steps):

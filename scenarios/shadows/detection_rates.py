@@ -166,10 +166,10 @@ def is_cleared(
 
 
 def measure_field(case: Case) -> list[dict[str, Any]]:
-    """Simulate the images of one field; count results by bin of shadow size q (`EDGES`).
+    """Simulate the images of one field; count results by bin of shadow size q.
 
-    A row has the limits of its bin and the numbers of rocks in view, of those missed and merged, of
-    detections and false ones, and of hazards and cleared ones.
+    The bins are those of `EDGES`. A row has the limits of its bin and the numbers of rocks in view,
+    of those missed and merged, of detections and false ones, and of hazards and cleared ones.
     """
     shape = SHAPES[case.number % len(SHAPES)] if case["shape"] == ALL else case["shape"]
     elevation = np.radians(case["sun_elevation"])
@@ -194,7 +194,12 @@ def measure_field(case: Case) -> list[dict[str, Any]]:
 
 
 def pooled_rates(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return rates and numbers of samples by bin of q over all fields, and fitted lines."""
+    """Return rates and numbers of samples over all fields, and fitted lines.
+
+    The rates ("missed", "merged", "false", "cleared") and numbers ("rocks", "detections",
+    "hazards") are by bin of shadow size q (bins,), with the bin "edges". "lines" has start, slope
+    and floor of each line; only bins with 30 samples or more are fitted.
+    """
     sums = {
         name: np.array([sum(r[name] for r in rows if r["from"] == low) for low in EDGES[:-1]])
         for name in rows[0] if name not in {"from", "to", "number"}
@@ -270,7 +275,11 @@ FITS = {
 
 
 def report_rates(report: Report) -> None:
-    """Print false-negative, false-detection and clearing rates and lines; plot them."""
+    """Print the error rates of the shadow detector by shadow size, and fitted lines.
+
+    The rates are those of missed and merged rocks, false detections and cleared hazards. If there
+    is an output folder, they are also plotted.
+    """
     data, options = pooled_rates(report.rows), report.options
     images = IMAGES_PER_FIELD * len(report.groups("number"))
     shape = options["shape"]

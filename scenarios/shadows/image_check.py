@@ -47,7 +47,10 @@ Counts = NDArray[np.uint8]
 
 
 def field_index(case: Case) -> int:
-    """Return the index of a field among all covers and slopes, which sets its random numbers."""
+    """Return the index of a field among the fields of all covers and slopes.
+
+    It sets the random numbers of the field.
+    """
     cell = COVERS.index(case["cover"]) * len(SLOPES) + SLOPES.index(case["slope"])
     return case.number * len(COVERS) * len(SLOPES) + cell
 
@@ -65,9 +68,11 @@ def make_terrain(case: Case, rng: np.random.Generator) -> Terrain:
 
 
 def check_images(case: Case) -> list[dict[str, Any]]:
-    """Simulate good and faulty images of a field under all Suns, and check each of them.
+    """Simulate good and faulty images of a field, and check each of them.
 
-    A row has Sun elevation (deg), altitude (m), name of the fault, and result of `check_result`.
+    There is one view for each Sun elevation and altitude; views with terrain too close to the
+    camera are skipped. A row has Sun elevation (deg), altitude (m), name of the fault, and result
+    of `check_result`.
     """
     rng = np.random.default_rng(np.random.SeedSequence(case.seed, spawn_key=(field_index(case),)))
     terrain = make_terrain(case, rng)

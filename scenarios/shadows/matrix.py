@@ -96,7 +96,9 @@ def evaluate_map(simulation: Simulation) -> dict[str, Any]:
     """Compare the current shadow map with the true rocks, in the onboard frame.
 
     A map cell is classified as clear if it is observed and its hazard probability is below the
-    threshold. Returns, for JSON, counts of the cells by class and of the calibration.
+    threshold. Hazards are rocks of the minimum hazard diameter or more. Returns, for JSON, counts
+    of cells by class and of the calibration, numbers of hazards and of those classified as clear in
+    all cells, and landings at blind sites.
     """
     mapper = simulation.computer.mappers["rocks"]
     p = mapper.probability.probability(mapper.tracker)

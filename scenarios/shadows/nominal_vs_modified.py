@@ -114,9 +114,10 @@ def compare_means(nominal: list[float], modified: list[float]) -> dict[str, Mean
 
 
 def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return mean map metrics by altitude for both paths, and paired differences.
+    """Return mean map metrics of nominal and modified descents, by altitude.
 
-    Fields that only one path has flown are ignored.
+    The result also has the means of propellant and duration, and all paired differences. Fields
+    that only one path has flown are ignored.
     """
     by = [[r for r in rows if r["path"] == path] for path in PATHS]
     fields = min(map(len, by))
@@ -139,7 +140,10 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def report_paths(report: Report) -> None:
-    """Print map quality by altitude, propellant and duration of both paths; plot both."""
+    """Print map quality, propellant and duration of nominal and modified descents.
+
+    If there is an output folder, the figures are also plotted.
+    """
     summary = summarise(report.rows)
     for altitude, level in summary["altitudes"].items():
         table = Table(

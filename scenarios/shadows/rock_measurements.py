@@ -135,7 +135,11 @@ def measure_descent(world: World, model: ShadowModel, rng: np.random.Generator) 
 
 
 def measure_field(case: Case) -> dict[str, Any]:
-    """Simulate the descent to one field; return the samples of all statistics of its rocks."""
+    """Simulate the descent to one field; return samples of the statistics of rocks.
+
+    The samples are those of `successive_changes`, `biases_after_first`, `random_walks` and
+    `persistent_errors`.
+    """
     rng = np.random.default_rng(np.random.SeedSequence(case.seed, spawn_key=(case.number,)))
     elevation = np.radians(case["sun_elevation"])
     world = make_world(case["shape"], elevation, rng)
@@ -148,11 +152,11 @@ def measure_field(case: Case) -> dict[str, Any]:
 
 
 def successive_changes(one: RockMeasurements) -> Array:
-    """Return sums of the changes between successive images by bin of rock radius (bins, 5).
+    """Return sums of the changes between successive images by rock radius (bins, 5).
 
     Columns: number of changes; sums of squares of the change along and across the Sun direction
     over its standard deviation, and of the change along and across in pixels, scaled to a single
-    measurement.
+    measurement. The median change of all rocks is subtracted. The bins are those of `EDGES`.
     """
     change = np.diff(one.error, axis=0)
     change -= np.nanmedian(change, axis=1, keepdims=True)
@@ -169,11 +173,12 @@ def successive_changes(one: RockMeasurements) -> Array:
 
 
 def biases_after_first(one: RockMeasurements) -> Array:
-    """Return the errors of the first good and the following measurements (n, SETTLED, 2), pixels.
+    """Return errors of the first good measurements of rocks (n, SETTLED, 2), pixels.
 
-    The errors along and across the Sun direction are relative to the mean of later measurements,
-    from `SETTLED` to twice as many images after the first. Only rocks that are not measured well in
-    the first image are used.
+    Row i has the errors of one rock in the first image good enough to start a track and in the
+    images that follow. The errors along and across the Sun direction are relative to the mean of
+    later measurements, from `SETTLED` to twice as many images after the first. Rocks that are
+    measured well in the first image of the descent are omitted.
     """
     out = []
     for rock in np.flatnonzero(one.can_start_track.any(axis=0) & ~one.can_start_track[0]):
@@ -187,10 +192,11 @@ def biases_after_first(one: RockMeasurements) -> Array:
 
 
 def random_walks(one: RockMeasurements) -> Array:
-    """Return samples of the variance of rock centers as the view direction rotates (n, 2, 2).
+    """Return variances of rock centers per rotation of the view direction (n, 2, 2).
 
-    The variances are in squared rock radii per radian: of each rock without noise, and common to
-    all rocks; along and across the Sun direction.
+    A sample compares two images; the variances are in squared rock radii per radian: of each rock
+    without noise, and common to all rocks; along and across the Sun direction. Pairs of images with
+    a small rotation or few rocks in common are omitted.
     """
     out = []
     dot = np.einsum("kij,kij->ki", one.direction[LAG:], one.direction[:-LAG])
@@ -269,7 +275,10 @@ def report_errors(report: Report) -> None:
 
 
 def _joined(report: Report, name: str, shape: tuple[int, ...]) -> Array:
-    """Return the samples of one column of all fields, each of a shape."""
+    """Return the samples (n, *shape) of column `name`, joined over all fields.
+
+    `shape` is the shape of one sample.
+    """
     samples = [np.array(row[name], dtype=np.float64).reshape(-1, *shape) for row in report.rows]
     return np.concatenate(samples)
 

@@ -188,7 +188,10 @@ def image_metrics(image: Array, real: Array) -> dict[str, Any]:
 
 
 def histogram_distance(first: Array, second: Array) -> float:
-    """Return the mean difference of the sorted pixel values of two normalised images."""
+    """Return the mean absolute difference of the sorted pixel values of two images.
+
+    Each image is divided by its local mean.
+    """
     return float(np.mean(np.abs(np.sort(first.ravel()) - np.sort(second.ravel()))))
 
 

@@ -103,9 +103,7 @@ def main(scenario: Path, box: tuple[float, ...], json_file: Path | None, out: Pa
     """Print the roughness of measured terrain with and without detail."""
     raster = Scenario.load(scenario).terrain.make()
     if not isinstance(raster, RasterTerrain):
-        raise click.BadParameter(
-            f"{scenario}: terrain.kind must be 'measured'", param_hint="--scenario"
-        )
+        raise click.BadParameter(f"{scenario}: terrain.kind must be 'dtm'", param_hint="--scenario")
     found = relief_versions(raster)
     rows = {n: np.array([rms_differences(r, lag, box) for lag in LAGS]) for n, r in found.items()}
     # Rounding to height steps adds the variance of each value in a difference.

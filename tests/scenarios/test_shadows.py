@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from lunarsim.onboard.perception.detection_rates import DetectionRates
-from lunarsim.onboard.perception.detector import DetectorSettings
+from lunarsim.onboard.perception.detector import OBSERVATION_SIGMA, SMALL_PATCH_SIGMA
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.policies.contract import Decision
 from lunarsim.rocks.field import RockModel
@@ -29,9 +29,9 @@ def test_measurement_noise_is_constant_in_pixels(script, monkeypatch, capsys):
     report_study(study.study, run_study(study.study, count=1))
     output = capsys.readouterr().out
     rows = [line.split("│")[1:-1] for line in output.splitlines() if line.startswith("│")]
-    looks, told = [row for row in rows if len(row) == 6], DetectorSettings()
-    assert len(looks) >= 3
-    for row in looks:
+    classes = [row for row in rows if len(row) == 6]
+    assert len(classes) >= 3
+    for row in classes:
         along, across, over, over_across = (float(cell) for cell in row[2:])
         assert 0.1 < along < 1.5 and 0.05 < across < 0.5
         # The reported noise depends only on pixels: constant for large patches, larger below.
@@ -39,8 +39,8 @@ def test_measurement_noise_is_constant_in_pixels(script, monkeypatch, capsys):
         for found, ratio, base, small in zip(
             (along, across),
             (over, over_across),
-            told.observation_sigma,
-            told.small_patch_sigma,
+            OBSERVATION_SIGMA,
+            SMALL_PATCH_SIGMA,
             strict=True,
         ):
             least, most = np.sort(np.hypot(base, small / edges))

@@ -40,7 +40,8 @@ def test_maps_of_one_hemisphere_are_its_closed_forms():
 
 
 def test_night_is_dark_everywhere():
-    world = World(flat_terrain(), 1.622, Light(0.0, -0.1))
+    rock = RockField.hemispheres(0.0, 0.0, 0.0, 1.0)  # its sides are turned towards the Sun
+    world = World(Terrain(flat_terrain().relief, rock), 1.622, Light(0.0, -0.1))
     assert TruthProducts.of(world, Lander(), Grid.centred((0.0, 0.0), 20.0, 0.5)).shadow.all()
 
 

@@ -51,7 +51,10 @@ def _accepts_argument_count(call: Callable[..., Any], count: int) -> bool:
 
 
 def _imported(name: str) -> Any:
-    """Import the object ``module:Name``; the working directory is searched last."""
+    """Import the object ``module:Name``; the working directory is searched last.
+
+    If the module or the name does not exist, an `InputError` is raised.
+    """
     module, _, attribute = name.partition(":")
     try:
         return getattr(import_part_module(module), attribute)
@@ -64,7 +67,10 @@ def _imported(name: str) -> Any:
 
 
 def contract_of_custom_part(name: str) -> str | None:
-    """Return "guidance" or "policy" if ``module:Name`` is such a part, or None.
+    """Return "guidance" or "policy" if ``module:Name`` is such a class, or None.
+
+    A class counts as a guidance law or a policy if it is a dataclass with all members that the
+    interface requires. Functions and other classes give None.
 
     Raises
     ------

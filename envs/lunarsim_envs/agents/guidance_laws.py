@@ -28,9 +28,10 @@ _NEEDED = ("position", "velocity", "attitude", "rate", "propellant")
 
 
 def _descent_core(agent_name: str, env: gymnasium.Env[Any, Any]) -> DescentEnvCore:
-    """Return the core of a ``Guidance-v0`` environment; check its observation.
+    """Return the simulated batch of a ``Guidance-v0`` environment for an agent.
 
-    `agent_name` is the agent's name in errors.
+    If the environment is another one, or its observation lacks a component that guidance laws need,
+    an `InputError` with `agent_name` is raised.
     """
     flown = env.unwrapped
     if not isinstance(flown, GuidanceEnv):
@@ -96,7 +97,10 @@ class GuidanceLawAgent:
         self._has_started = False
 
     def _start(self, estimate: Estimate) -> None:
-        """Choose the time-to-go from the start state; build the laws of both phases."""
+        """Build the guidance laws of approach and terminal descent from the start state.
+
+        Also sets the planned arrival time and sets the agent's clock to zero.
+        """
         descents, software = self._descents, self._software
         briefing = _briefing(descents.scenario, software, self._time_to_go(estimate))
         lag = software.control.response_time + self._lander.thrust_lag
@@ -134,7 +138,11 @@ class GuidanceLawAgent:
         )  # fmt: skip
 
     def act(self, observation: Any, info: dict[str, Any]) -> NDArray[np.float32]:
-        """Return the action (3,) closest to the acceleration that the law commands."""
+        """Return the action (3,) closest to the acceleration that the law commands.
+
+        The first call of an episode also builds the laws. Each call advances the agent's clock by
+        one action period.
+        """
         estimate = self._estimate(observation, self._time if self._has_started else 0.0)
         if not self._has_started:
             self._start(estimate)
@@ -160,7 +168,8 @@ class PolynomialLawAgent:
     Parameters
     ----------
     env
-        ``Guidance-v0`` with position and velocity as the first observation components.
+        ``Guidance-v0`` whose observation begins with position and velocity, and also has attitude,
+        rate and propellant.
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:

@@ -28,7 +28,8 @@ def _load_session(path: Path) -> Any:
     """Load an ONNX network into an onnxruntime session.
 
     The session uses one thread, so that results are reproducible. The network is read from memory,
-    and external weight files are disabled by an invalid folder.
+    and external weight files are disabled by an invalid folder. If the file is too large or not an
+    ONNX network, or onnxruntime is missing, an `InputError` is raised.
     """
     try:
         import onnxruntime  # noqa: PLC0415  (an extra)
@@ -152,7 +153,8 @@ class OnnxAgent:
     def _action(self, output: NDArray[Any], info: dict[str, Any]) -> Any:
         """Convert the flattened output of the network to an action of the environment.
 
-        Scores become the allowed option with the maximum, by the mask in `info`.
+        A Box action is clipped to its space; scores give the allowed option with the maximum score,
+        by the mask in `info`. An output of another size or type raises an `InputError`.
         """
         space, sizes = self._space, _option_counts(self._space)
         if output.dtype.kind not in "iuf" or not np.isfinite(output).all():

@@ -58,11 +58,11 @@ def begin(
 ):  # fmt: skip
     """Sample start, target and world of new flights for the landers of `mask` (n,).
 
-    `keys` and `flight_counts` (n,) are the random streams and their numbers of flights;
-    `world_ranges` (n, 2) has the first allowed world and the number of worlds. `initial_attitude`
-    is a quaternion, `initial_mass_thrust` in kg and N. `smooth_terrains` and `frame` are terrain
-    without rocks. Other arguments are attributes of `DescentBatch`. `thread_slice` is (thread,
-    number of threads).
+    Writes `y`, `rate`, `target`, `world`, `time` and `ended`, and adds 1 to `flight_counts`. `keys`
+    and `flight_counts` (n,) are the random streams and their numbers of flights; `world_ranges` (n,
+    2) has the first allowed world and the number of worlds. `initial_attitude` is a quaternion,
+    `initial_mass_thrust` in kg and N. `smooth_terrains` and `frame` are terrain without rocks.
+    Other arguments are attributes of `DescentBatch`. `thread_slice` is (thread, number of threads).
     """
     for i in range(thread_slice[0], len(y), thread_slice[1]):
         if not mask[i]:
@@ -213,9 +213,10 @@ class Flights(NamedTuple):
 
 @kernel()
 def _end_flight(i, y, vehicle, terrains, flights):
-    """End the flight of lander `i` if its state `y` is a touchdown or off the map.
+    """End the flight of lander `i` if it touches the terrain or is below the map.
 
-    Records the end in `flights` and returns 1, or returns 0 if the flight continues.
+    `y` (15,) is its state. Returns 1 and writes the touchdown to `flights`, or returns 0 if the
+    flight continues.
     """
     w = flights.world[i]
     z, frame = terrains.z[w], terrains.frame
@@ -239,10 +240,10 @@ def _end_flight(i, y, vehicle, terrains, flights):
 
 @kernel(exact=True)
 def _load_states(start, stop, ended, y, lanes, states):
-    """Copy the states of the flying landers from `start` to `stop` - 1 to `states`.
+    """Copy the states of the flying landers from `start` to `stop` - 1 to a block.
 
-    `states` (15, width) has one column per lander; empty columns repeat the first lander. Writes
-    the indices of the landers to `lanes` and returns their number.
+    The block `states` (15, width) has one column per lander; empty columns repeat the first lander.
+    Writes the indices of the landers to `lanes` and returns their number.
     """
     count = 0
     for i in range(start, stop):
@@ -261,8 +262,8 @@ def _set_command(states, loop_state, n, action, guided, control, heading, payloa
     """Convert the action of one lander to commanded thrust, and attitude or torques.
 
     `action` is a thrust acceleration, m/s^2, if `guided`, otherwise thrust and torques, N and N m.
-    The command goes to column `n` of `loop_state`. It is computed with the nominal mass, without
-    the random `payload`, kg.
+    The command is limited, and written to column `n` of `loop_state`. It is computed with the
+    nominal mass, without the random `payload`, kg. `attitude` (4,) is scratch.
     """
     if guided:
         loop_state[loop.THRUST, n] = thrust_attitude(
@@ -278,10 +279,11 @@ def _set_command(states, loop_state, n, action, guided, control, heading, payloa
 
 @kernel(exact=True)
 def _load_lander(i, states, loop_state, n, params, rate, vehicle, height_ranges, reach, flights):
-    """Copy parameters and attitude-loop state of lander i to column n of a block.
+    """Copy parameters and attitude-loop state of lander `i` to column `n` of a block.
 
-    Writes `loop_state`, whose rows are those of `_loop_kernels`, and `params` (5, width). `reach`
-    is the distance from the centre of mass to the pads plus a margin, m.
+    A block has several landers, one per column. Writes `loop_state`, whose rows are those of
+    `_loop_kernels`, and `params` (5, width). `reach` is the distance from the centre of mass to the
+    pads plus a margin, m.
     """
     for k in range(5):
         params[k, n] = vehicle.params[i, k]
@@ -304,7 +306,11 @@ def _load_lander(i, states, loop_state, n, params, rate, vehicle, height_ranges,
 
 @kernel(exact=True)
 def _store_lander(states, loop_state, n, i, y, rate, flights):
-    """Copy state, body rate and time from column n of a block back to lander i."""
+    """Copy state, body rate and time from column `n` of a block back to lander `i`.
+
+    A block has several landers, one per column of `states` and `loop_state`. Writes `y`, `rate` and
+    `flights.time`.
+    """
     for s in range(15):
         y[i, s] = states[s, n]
     for k in range(3):
@@ -316,7 +322,8 @@ def _store_lander(states, loop_state, n, i, y, rate, flights):
 def _end_flights(states, loop_state, count, lanes, y, rate, vehicle, terrains, flights):
     """End the flights of landers in a block that have touched down or left the map.
 
-    `count` is the number of landers in the block and `lanes` their indices. Returns the number of
+    A block has several landers, one per column of `states` and `loop_state`. `count` is their
+    number and `lanes` their indices. Writes `y`, `rate` and `flights`; returns the number of
     flights that ended in this step.
     """
     count_ended = 0
@@ -334,9 +341,9 @@ def advance(
 ):
     """Fly all flying landers for `steps` integration steps, or to their end.
 
-    `y` (n, 15) are the states and `rate` (n, 3) the measured body rates; `actions` are thrust
-    accelerations if `guided`, otherwise thrust and torques. `dt` and `time_limit` are in s; landers
-    are flown in blocks of `width`. `thread_slice` is (thread, number of threads).
+    Updates the states `y` (n, 15), the measured body rates `rate` (n, 3) and `flights`. `actions`
+    are thrust accelerations if `guided`, otherwise thrust and torques. `dt` and `time_limit` are in
+    s; landers are flown in blocks of `width`. `thread_slice` is (thread, number of threads).
     """
     v, ended = vehicle, flights.ended
     gains, max_torque = v.control[3:6], v.control[6:]

@@ -83,8 +83,9 @@ def _rotation_between(from_rows, from_row, to_rows, to_row, out, n):
 def command_torques(states, loop_state, width, gains, max_torque, error):
     """Compute control torques of a block of landers by a proportional-derivative law.
 
-    `gains` (3,) are those of the attitude loop, `max_torque` (3,) is in N m, and `error` (3, width)
-    is scratch. Also stores the attitude, from which `measure_rates` computes the next rates.
+    Writes the torques to `loop_state`, with the attitude, from which `measure_rates` computes the
+    next rates. `gains` (3,) are those of the attitude loop, `max_torque` (3,) is in N m, and
+    `error` (3, width) is scratch.
     """
     for n in range(width):
         _rotation_between(states, 6, loop_state, AIM, error, n)
@@ -103,7 +104,7 @@ def command_torques(states, loop_state, width, gains, max_torque, error):
 def measure_rates(states, loop_state, width, dt, turn):
     """Compute the gyroscope rates from the change of attitude over the last step.
 
-    `dt` is the step, s, and `turn` (3, width) is scratch.
+    Writes the rates to `loop_state`. `dt` is the step, s, and `turn` (3, width) is scratch.
     """
     for n in range(width):
         _rotation_between(loop_state, BEFORE, states, 6, turn, n)

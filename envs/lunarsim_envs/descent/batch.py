@@ -245,23 +245,29 @@ class DescentBatch:
 
     @property
     def keys(self) -> NDArray[np.uint64]:
-        """Random key of each lane (n,)."""
+        """Random key of each lander (n,)."""
         return self._keys
 
     @property
     def flight_counts(self) -> IntArray:
-        """Number of flights that each lane has started with its key (n,)."""
+        """Number of flights that each lander has started with its key (n,)."""
         return self._flight_counts
 
     def seed(self, mask: BoolArray, keys: NDArray[np.uint64]) -> None:
-        """Set the random keys (64-bit) of lanes `mask` (n,), which fix their flights."""
+        """Set the random keys of the landers of `mask` (n,), one key per selected lander.
+
+        The key, a 64-bit integer, fixes all later flights of its lander.
+        """
         self._keys[mask] = keys
         self._flight_counts[mask] = 0
         self._counts[mask] = 0
         self.has_key[mask] = True
 
     def begin(self, mask: BoolArray) -> None:
-        """Start new flights with random start, target and world in lanes `mask` (n,)."""
+        """Start new flights of the landers of `mask` (n,).
+
+        Start, target and world of each flight are random.
+        """
         w = self.worlds
         with threads_for(_STEP * self.count):
             k.begin(
@@ -279,7 +285,10 @@ class DescentBatch:
         self.touchdown_values[mask] = np.nan
 
     def normals(self, mask: BoolArray, size: int) -> Array:
-        """Return `size` standard normal numbers per lane of `mask` (n, size); 0 in others."""
+        """Return `size` standard normal numbers per lander of `mask` (n, size).
+
+        Landers outside the mask get 0.
+        """
         found = np.zeros((self.count, size))
         with threads_for(0.02 * self.count * size):
             k.sample_normals(mask, self._keys, self._counts, found)
@@ -320,9 +329,10 @@ class DescentBatch:
         return np.asarray(self.params[:, 4] - self.y[:, 13])
 
     def failure_causes(self, lane: int) -> tuple[str, ...]:
-        """Return why the flight of a lane failed: the violated limits.
+        """Return why the flight of a lander failed: the names of the violated limits.
 
-        A flight that reached the time limit gives ``("time-limit",)``.
+        `lane` is the index of the lander. A flight that reached the time limit gives
+        ``("time-limit",)``, a safe landing ``()``.
         """
         if self.ended[lane] == LATE:
             return ("time-limit",)

@@ -198,8 +198,9 @@ class DescentEnvCore:
     def step(self, action: Any) -> tuple[dict[str, Array], BoolArray, BoolArray, BoolArray]:
         """Fly all flying landers with actions from -1 to 1 until the next action is due.
 
-        Returns the reward terms (n,) by name, and which landers moved, terminated (by touchdown or
-        below the map) and were truncated (by the time limit), each (n,).
+        Returns the reward terms (n,) by name and three masks (n,): landers that were flying before
+        the step, flights that it terminated (by touchdown or below the map), and flights that it
+        truncated (by the time limit).
         """
         physical = self.actions.physical(action, self.lanes.count if self.many else None)
         moved = self.lanes.ended == FLYING

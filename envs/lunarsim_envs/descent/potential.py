@@ -19,11 +19,13 @@ def reference_velocity(lanes: DescentBatch) -> Array:
     """Return each lander's reference velocity towards its target (n, 3), ENU, m/s.
 
     It is the vector to the target divided by T + sqrt(r / 2 a), where r is the distance, a is 0.38
-    of the maximum deceleration and T is 4 s. Far away its norm is sqrt(2 a r), which corresponds to
-    a constant deceleration a; near the target it is r / T. Vertically it aims at a point slightly
-    below the terrain, so that touchdown occurs at a speed within the limit. Rewards based on a
-    velocity field: Gaudet, Linares and Furfaro, "Deep reinforcement learning for six
-    degree-of-freedom planetary landing", Advances in Space Research 65, 2020.
+    of the maximum deceleration and T is 4 s. Far away its norm is about sqrt(2 a r), which
+    corresponds to a constant deceleration a; near the target it is r / T. The horizontal part is
+    increased, by up to 2.5 times near the target, so that the lander is above the target before
+    touchdown. Vertically it aims at a point slightly below the terrain, so that touchdown occurs at
+    a speed within the limit. Rewards based on a velocity field: Gaudet, Linares and Furfaro, "Deep
+    reinforcement learning for six degree-of-freedom planetary landing", Advances in Space Research
+    65, 2020.
     """
     dynamics = lanes.craft.dynamics
     lander = dynamics.lander

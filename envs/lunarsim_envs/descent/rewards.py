@@ -93,8 +93,9 @@ class Rewards:
     def _excess(self) -> Array:
         """Return by how much touchdowns exceed their limits (n,).
 
-        It is the sum over speed, tilt and rate of log(value / limit), or 0 within the limit; each
-        logarithm is at most `MAX_EXCESS`, also without a touchdown.
+        It is the sum over vertical speed, horizontal speed, tilt and rate of log(value / limit), or
+        0 within the limit. Each logarithm is at most `MAX_EXCESS`; without a touchdown (off the
+        map) each one is `MAX_EXCESS`.
         """
         vehicle = self.lanes.craft.dynamics.lander
         limits = np.array([
@@ -112,7 +113,10 @@ class Rewards:
         self._potential[mask] = self.potential()[mask]
 
     def terms(self, moved: BoolArray) -> dict[str, Array]:
-        """Return the reward terms (n,) of the last step by name; 0 where `moved` is false."""
+        """Return the reward terms (n,) of the last step by name.
+
+        They are 0 for landers that were not flying before the step (`moved` (n,) is false).
+        """
         w, lanes = self.weights, self.lanes
         over = (lanes.ended != FLYING) & (lanes.ended != LATE)
         after = np.where(over, 0.0, self.potential())
@@ -128,7 +132,10 @@ class Rewards:
         return {name: np.where(moved, rewards.get(name, nothing), 0.0) for name in self.names}
 
     def _touchdown_terms(self, over: BoolArray) -> dict[str, Array]:
-        """Return the terms (n,) of flights that ended in this step, `over` (n,)."""
+        """Return the touchdown, miss, excess and severity terms of each flight (n,).
+
+        `over` (n,) marks flights that have ended by touchdown or off the map; others get 0.
+        """
         w, safe = self.weights, self.lanes.safe
         severity = 0.5 * w.severity * np.minimum(self._relative_distance_and_speed(), MAX_SEVERITY)
         return {

@@ -51,9 +51,10 @@ def _environment_id(env_name: str) -> str:
 
 
 def _check_perception(perception: str, create_default: Any) -> None:
-    """Check that a perception exists and that the environment has perceptions.
+    """Check the option ``--perception``, the source of hazard maps in ``Retarget-v0``.
 
-    `create_default` is the function that creates the default scenario of the environment.
+    If `perception` is not the name of such a source, or `create_default`, which creates the default
+    scenario of the environment, is that of a descent environment, an `InputError` is raised.
     """
     if perception not in PERCEPTIONS:
         raise InputError(

@@ -90,7 +90,10 @@ def add_on_target(rows: Rows, max_distance: float) -> Rows:
 
 
 def _true_fraction(rows: Rows, name: str) -> Proportion | None:
-    """Return the fraction of episodes in which `name` is true; None if missing."""
+    """Return the fraction of episodes in which `name` is true.
+
+    If a row lacks the value, the result is None.
+    """
     if not all(name in row for row in rows):
         return None
     return Proportion(sum(bool(row[name]) for row in rows), len(rows))

@@ -86,11 +86,12 @@ def _is_positive(c, low, high):
 
 @kernel(inline=True)
 def _height_above_glideslope(coefficients, offset, half_width, half_height, glideslope, time_to_go):
-    """Bound the height of a path sample above the glideslope cone of a target box, m.
+    """Bound a path's height above the glideslopes of a target box from above, m.
 
-    `coefficients` is a row of `path_coefficients`, `offset` (3,) the vector from the centre of the
-    box to the lander, m, and `glideslope` a tangent. Also returns the derivative with respect to
-    the time-to-go.
+    The bound holds for one path sample (`coefficients`, a row of `path_coefficients`) and every
+    target in a box of `half_width` and `half_height`, m. `offset` (3,) is the vector from the
+    centre of the box to the lander, m, and `glideslope` a tangent. Also returns the derivative of
+    the bound with respect to the time-to-go.
     """
     part = abs(coefficients[4])
     east, north = (

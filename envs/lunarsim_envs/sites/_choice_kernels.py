@@ -70,10 +70,11 @@ def add_two_scaled(out, row_a, weight_a, row_b, weight_b):
 
 @kernel(allocates=False)
 def average_map(p, observed, sigma, out, padded, weights):
-    """Average a map of p_safe (rows, cols) over a Gaussian landing dispersion.
+    """Average a map of p_safe over a Gaussian landing dispersion, into `out`.
 
-    `sigma` is the dispersion per axis, in cells. Unobserved cells (`observed` false) get 0.
-    `padded` and `weights` are scratch.
+    `p`, `observed` and `out` are (rows, cols); `sigma` is the dispersion per axis, in cells.
+    Terrain outside the map counts as 0, and unobserved cells (`observed` false) get 0. `padded` and
+    `weights` are scratch.
     """
     rows, cols = p.shape
     reach_ = int(3.0 * sigma + 0.5)
@@ -104,10 +105,10 @@ def average_map(p, observed, sigma, out, padded, weights):
 
 @kernel()
 def _update_averaged_map(i, time, time_to_go, maps, padded, weights):
-    """Average a lander's map over the expected miss of its site; return the miss, m.
+    """Average a lander's map over the expected miss at its site; return the miss, m.
 
-    The average is not computed again if the miss has hardly changed. `padded` and `weights` are
-    scratch.
+    Writes `maps.averaged` and `maps.averaged_miss` of lander `i`, unless its miss has changed by at
+    most 5 %. `padded` and `weights` are scratch.
     """
     miss = expected_miss(time, time_to_go, maps.map_time[i], maps.miss_params)
     if not abs(miss / maps.averaged_miss[i] - 1.0) <= _ALIKE:
@@ -154,7 +155,9 @@ def _candidate_costs(i, cells, n, site, state, mass, law, maps, sites, cost):
 def _average_candidates(i, time, time_to_go, cells, n, cost, maps, p_safe):
     """Write p_safe of n candidates, each averaged over the expected miss of its path.
 
-    `cost` has the time-to-go of each candidate; `time_to_go` is used for unreachable candidates.
+    `cells` (n, 2) are rows and columns in the map of lander `i`. Column 1 of `cost` has the
+    time-to-go of each candidate; `time_to_go` is used for unreachable candidates. If the miss does
+    not grow with time, `p_safe` (n,) gets the values of `maps.averaged`.
     """
     for m in range(n):
         row, col = cells[m, 0], cells[m, 1]
@@ -172,7 +175,8 @@ def select_candidates(
     """Select candidate sites from the maps of landers `mask` (n,), with their cost.
 
     Candidates are up to `count` cells with the best p_safe, `separation` (m) apart, and for each of
-    `p_safe_levels` the nearest cell with at least this p_safe. Writes them to `candidates`, by
+    `p_safe_levels` the nearest cell with at least this p_safe. If the safest of them are out of
+    reach, reachable cells are searched to replace them. Writes the candidates to `candidates`, by
     decreasing p_safe. `thread_slice` is (thread, number of threads).
     """
     rows, cols = maps.p.shape[1], maps.p.shape[2]

@@ -146,8 +146,9 @@ def optimal_time_to_go(y, drift_velocity, time, site, law):
 def _approach_command(i, time, guidance, law, command, scratch):
     """Compute the commanded thrust acceleration of the approach, into `command` (3,).
 
-    It is the same computation as `PathGuidance.command`. `i` is the lander; the first two rows of
-    `scratch` (7, 3) are its estimated position and velocity.
+    It is the same computation as `PathGuidance.command`, and updates `guidance.response` and
+    `guidance.path`. `i` is the lander; the first two rows of `scratch` (7, 3) are its estimated
+    position and velocity.
     """
     powers, final = law.paths.powers, law.paths.final
     state, ahead, x, target = scratch[:2], scratch[2:4], scratch[4:6], scratch[6]
@@ -198,10 +199,11 @@ def _exceeds_duration(i, command, mass, time, guidance, law):
 
 @kernel(exact=True)
 def compute_command(i, y, time, guidance, law, command, scratch):
-    """Compute the commanded thrust acceleration of lander `i`, `command` (3,), m/s^2.
+    """Compute the commanded thrust acceleration of a lander, into `command` (3,).
 
-    Returns whether the path exceeds limits, so that a longer time-to-go is needed. `y` (15,) is the
-    true state; `scratch` is (7, 3).
+    `i` is the lander; the acceleration is in m/s^2. Returns whether the commands of the approach
+    have exceeded limits for 0.5 s, so that a longer time-to-go is needed; false in the vertical
+    descent. Updates `guidance`. `y` (15,) is the true state; `scratch` is (7, 3).
     """
     state = scratch[:2]
     drift_velocity, site = guidance.drift_velocity[i], guidance.site[i]
@@ -227,7 +229,7 @@ def compute_command(i, y, time, guidance, law, command, scratch):
 def _extend_time_to_go(i, y, time, guidance, law):
     """Delay the arrival of lander `i` if the minimum-propellant path takes longer.
 
-    The kernel is called when the current path exceeds limits.
+    The kernel is called when the current path exceeds limits. Writes `guidance.arrival`.
     """
     longer = optimal_time_to_go(y, guidance.drift_velocity[i], time, guidance.site[i], law)
     if longer > guidance.arrival[i] - time:
@@ -260,8 +262,9 @@ def begin(
 ):
     """Initialise guidance, drift and attitude of the started flights of `mask` (n,).
 
-    `drift_sigma` (2,) is the standard deviation of the drift velocity of navigation, m/s; `control`
-    is `Vehicle.control`. `thread_slice` is (thread, number of threads).
+    Writes `guidance`, and thrust and attitude in the states `y`. `drift_sigma` (2,) is the standard
+    deviation of the drift velocity of navigation, m/s; `control` is `Vehicle.control`.
+    `thread_slice` is (thread, number of threads).
     """
     command, attitude, scratch = np.empty(3), np.empty(4), np.empty((7, 3))
     for i in range(thread_slice[0], len(y), thread_slice[1]):
@@ -325,9 +328,9 @@ def decide(
     """Apply site decisions of the landers of `mask` (n,).
 
     `sites` (n, 3) are new sites (NaN keeps the site) and `time_factors` (n,) factors on the
-    minimum-propellant time-to-go (NaN: none). Writes to `refused` and `factor_ignored` (n,) whether
-    the site was out of reach and whether the factor was ignored. `thread_slice` is (thread, number
-    of threads).
+    minimum-propellant time-to-go (NaN: none). Writes the new sites and arrival times to `guidance`,
+    and to `refused` and `factor_ignored` (n,) whether the site was out of reach (the site is kept
+    then) and whether the factor was ignored. `thread_slice` is (thread, number of threads).
     """
     for i in range(thread_slice[0], len(y), thread_slice[1]):
         if not mask[i]:
@@ -357,8 +360,9 @@ def decide(
 def fly(thread_slice, y, rate, width, dt, time_limit, vehicle, terrains, flights, guidance, law):
     """Fly all flying landers until a scan or a decision is due, or to their end.
 
-    Landers are flown in blocks of `width`; a lander whose event is due waits for its block. `dt` is
-    the integration step, s. `thread_slice` is (thread, number of threads).
+    Updates `y`, `rate`, `flights` and `guidance`, whose `event` is what is due. Landers are flown
+    in blocks of `width`; a lander whose event is due waits for its block. `dt` is the integration
+    step, s. `thread_slice` is (thread, number of threads).
     """
     command, scratch = np.zeros((width, 3)), np.empty((7, 3))
     n = len(y)

@@ -199,9 +199,10 @@ def scan_cell(
 
 @kernel()
 def _add_scan(i, key, first, y, time, world, guidance, maps, truth, errors, view):
-    """Add a simulated LiDAR scan to the map of lander `i`.
+    """Add a simulated LiDAR scan to the map of lander `i`, in `maps`.
 
-    `key` and `first` select the random numbers of the scan; the other arguments are as in `scan`.
+    Cells that are not in view keep their values. `key` and `first` select the random numbers of the
+    scan; the other arguments are as in `scan`.
     """
     placements, amplitudes, axes = np.empty((2, 5), np.int64), np.empty(3), np.empty((3, 3))
     scan_index = sample_scan(
@@ -261,7 +262,10 @@ def map_stream(key, flight_count):
 
 @kernel()
 def record_scan(i, time, guidance, maps):
-    """Record that lander `i` has taken a scan, and set its site's height from its map."""
+    """Record in `guidance` and `maps` that lander `i` has taken a scan at `time`, s.
+
+    The height of its site is set from its map, if the map has observed the site.
+    """
     guidance.scan_count[i] += 1
     guidance.event[i] = NOTHING
     maps.map_time[i] = time
@@ -295,8 +299,8 @@ def map_cell(i, x, y, maps):
 def downsample(thread_slice, mask, p, seen, out):
     """Downsample the maps of landers `mask` (n,) to p_safe and observed fraction.
 
-    `p` and `seen` are (n, rows, cols), `out` is (n, 2, cells, cells). `thread_slice` is (thread,
-    number of threads).
+    `p` and `seen` are (n, rows, cols). Writes the means in equal blocks to `out` (n, 2, cells,
+    cells). `thread_slice` is (thread, number of threads).
     """
     rows, cols, cells = p.shape[1], p.shape[2], out.shape[2]
     total = np.zeros((cells, cells))

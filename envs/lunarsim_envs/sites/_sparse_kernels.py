@@ -20,8 +20,8 @@ def _mean_around(
 ):  # fmt: skip
     """Return mean p_safe of a cell (r, c) and 4 neighbours, and the cell's height.
 
-    The neighbours are `neighbour_distance` cells away. p_safe is -1 if the cell is not observed.
-    The other arguments are those of `_map_kernels.scan_cell`.
+    The neighbours are `neighbour_distance` cells away; unobserved ones count as 0. The mean is -1
+    if the cell itself is not observed. The other arguments are those of `_map_kernels.scan_cell`.
     """
     total, height, is_unobserved = 0.0, 0.0, False
     for k in range(5):
@@ -43,7 +43,8 @@ def _mean_around(
 def _is_better(p, distance, best_p, best_distance):
     """Return whether a site is better than the best site so far.
 
-    Sites with p_safe of 0.95 or more are compared by their distance, others by p_safe.
+    Sites with p_safe of 0.95 or more are better than all others, and are compared by their
+    distance; sites with less are compared by p_safe.
     """
     if p >= _ENOUGH:
         return best_p < _ENOUGH or distance < best_distance
@@ -54,8 +55,9 @@ def _is_better(p, distance, best_p, best_distance):
 def _divert_to_best(i, y, time, n, sites, p, distance, guidance, law, site_p_safe):
     """Divert lander `i` to the best reachable site among the six best of n sites.
 
-    `sites` (n, 3) have p_safe `p` and a distance from the current site (n,). Writes p_safe of the
-    new site to `site_p_safe`.
+    `sites` (n, 3) have p_safe `p` and a distance from the current site (n,). Writes the new site
+    and its arrival time to `guidance` and its p_safe to `site_p_safe`. If none of the six is
+    reachable, the lander keeps its site. `p` is changed.
     """
     for _ in range(min(n, _TRIES)):
         best = 0
@@ -82,9 +84,10 @@ def scan_and_divert(
 ):  # fmt: skip
     """Take a scan for landers `mask` (n,) and divert each to the best lattice site.
 
-    The lattice is every `stride`-th cell of a square of `side` cells around the target. A lander
-    with p_safe of 0.95 or more at its site does not divert. `thread_slice` is (thread, number of
-    threads).
+    The lattice is every `stride`-th cell of a square of `side` cells around the target; only cells
+    with a higher p_safe than the current site are considered. A lander with p_safe of 0.95 or more
+    at its site does not divert. Writes `guidance` and the p_safe of the sites, `site_p_safe` (n,)
+    (NaN if not observed). `thread_slice` is (thread, number of threads).
     """
     count = (side - 1) // stride + 1
     placements, amplitudes, axes = np.empty((2, 5), np.int64), np.empty(3), np.empty((3, 3))

@@ -149,7 +149,10 @@ def _array(actions: Any) -> NDArray[Any]:
 
 
 def _given_text(action: Any) -> str:
-    """Return a single number for an error message, or shape and type of an array."""
+    """Describe an invalid action for an error message.
+
+    The text is the number if `action` is a single one, otherwise shape and type of the array.
+    """
     given = _array(action)
     if given.ndim:
         return f"shape {given.shape} and type {given.dtype}"

@@ -157,7 +157,7 @@ class SiteDescentBatch(DescentBatch):
         self._control = self._vehicle.control
 
     def begin(self, mask: BoolArray) -> None:
-        """Start new flights in the lanes of `mask` (n,) and fly to their first decisions."""
+        """Start new flights of the landers of `mask` (n,); fly to their first decisions."""
         super().begin(mask)
         self._run(
             f.begin, 100.0 * self.count, mask, self._keys, self._flight_counts, self.y, self.target,
@@ -176,14 +176,14 @@ class SiteDescentBatch(DescentBatch):
         self._fly_on(mask)
 
     def decide(self, sites: Array, mask: BoolArray, time_scales: Array | None = None) -> None:
-        """Apply site decisions of some lanes and fly to the next decision or the end.
+        """Apply site decisions of some landers and fly to the next decision or the end.
 
         Parameters
         ----------
         sites
             New sites (n, 3), local frame, m; NaN keeps the site.
         mask
-            Lanes that decide (n,).
+            Landers that decide (n,).
         time_scales
             Factors on the time-to-go of the minimum-propellant path (n,); NaN or None keeps the
             time-to-go.
@@ -200,7 +200,7 @@ class SiteDescentBatch(DescentBatch):
     def _fly_on(self, mask: BoolArray) -> None:
         """Fly to the next decision or the end, with scans on the way.
 
-        Then evaluate the candidate sites of the lanes of `mask` (n,) that still fly.
+        Then evaluate the candidate sites of the landers of `mask` (n,) that still fly.
         """
         while True:
             self._run(
@@ -222,7 +222,7 @@ class SiteDescentBatch(DescentBatch):
             )  # fmt: skip
 
     def _run(self, kernel: Any, microseconds: float, *arguments: Any) -> None:
-        """Run a kernel over all lanes in parallel threads; a single lane uses no threads.
+        """Run a kernel over all landers in parallel threads; one lander uses no threads.
 
         `microseconds` is the estimated computing time; `arguments` are the arguments of the kernel.
         """
@@ -233,7 +233,7 @@ class SiteDescentBatch(DescentBatch):
             kernel(*arguments)
 
     def scan(self, due: BoolArray) -> None:
-        """Take a LiDAR scan in the lanes of `due` (n,) and update their hazard maps."""
+        """Take a LiDAR scan for the landers of `due` (n,) and update their hazard maps."""
         self._run(
             m.scan, _MAP * self.count, due, self._keys, self._flight_counts, self.y, self.time,
             self.world, self.guidance, self.maps, self.pool.layers, self.errors, self.view,

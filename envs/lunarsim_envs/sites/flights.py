@@ -45,7 +45,8 @@ class SiteFlight(Protocol):
         site
             New site (3,), local frame, m; None keeps the site.
         after_cycle
-            Function called after every control cycle of the full simulation.
+            Function called after every control cycle of the full simulation; kernels call it once,
+            at the end.
         time_scale
             Factor on the time-to-go of the minimum-propellant path; None keeps the time-to-go.
         """
@@ -210,7 +211,10 @@ class KernelFlight:
     def decide(
         self, site: Array | None, after_cycle: Callable[[], None], time_scale: float | None = None
     ) -> None:
-        """Apply a site decision and fly to the next decision or the end."""
+        """Apply a site decision and fly to the next decision or the end.
+
+        `after_cycle` is called once, at the end.
+        """
         goal = np.full((1, 3), np.nan) if site is None else np.asarray(site)[None]
         asked = None if time_scale is None else np.array([time_scale])
         self.lanes.decide(goal, self._one, asked)

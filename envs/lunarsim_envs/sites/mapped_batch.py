@@ -25,7 +25,8 @@ class MappedDescentBatch(SiteDescentBatch):
     """Landers that fly in parallel with simulated scans and ``gaussian-dem`` maps.
 
     Unlike `SiteDescentBatch`, which samples map errors from a statistical model, LiDAR scans of the
-    terrain are simulated and mapped. Arguments are those of `SiteDescentBatch`.
+    terrain are simulated and mapped. Arguments are those of `SiteDescentBatch`, except
+    that the grid spacing is always that of the mapper.
 
     Raises
     ------
@@ -42,19 +43,19 @@ class MappedDescentBatch(SiteDescentBatch):
         super().__init__(count, scenario, *arguments, **(settings | {"posting": part.posting}))
 
     def begin(self, mask: BoolArray) -> None:
-        """Start new flights in the lanes of `mask` (n,) and fly to their first decisions."""
+        """Start new flights of the landers of `mask` (n,); fly to their first decisions."""
         for lane in np.flatnonzero(mask):
             self._mappers[int(lane)] = None
         super().begin(mask)
 
     def scan(self, due: BoolArray) -> None:
-        """Simulate a LiDAR scan in the lanes of `due` (n,) and update their maps."""
+        """Simulate a LiDAR scan for the landers of `due` (n,) and update their maps."""
         for lane in np.flatnonzero(due):
             self._simulate_scan(int(lane))
         m.record_scans(due, self.time, self.guidance, self.maps)
 
     def _simulate_scan(self, i: int) -> None:
-        """Simulate a LiDAR scan of lane `i` and update its map."""
+        """Simulate a LiDAR scan of lander `i` and update its map."""
         mapper = self._mappers[i]
         if mapper is None:
             mapper = self._mappers[i] = GaussianDemMapper(

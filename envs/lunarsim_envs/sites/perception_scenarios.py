@@ -24,8 +24,8 @@ def with_perception(scenario: Scenario, perception: str) -> Scenario:
     If the scenario has a mapper of this kind, decisions use that mapper. Otherwise one is added:
 
     - "quadtree" replaces the current mapper, with the same scans and map area.
-    - "shadows" replaces the current mapper; a camera is added if there is none, and navigation
-      tracks rocks.
+    - "shadows" replaces all mappers; a camera is added if there is none, and inertial navigation is
+      replaced by one that tracks rocks.
     - "fused" combines the current LiDAR mapper with a shadow mapper.
 
     Parameters
@@ -107,7 +107,10 @@ def _fused(scenario: Scenario) -> dict[str, Any]:
 
 
 def _camera(scenario: Scenario) -> dict[str, Any]:
-    """Return the changes that add a shadow mapper with its camera and navigation."""
+    """Return the changes that add a shadow mapper, with camera and rock navigation.
+
+    The camera is added only if the scenario has none; only inertial navigation is replaced.
+    """
     cameras = [name for name, part in scenario.sensors.items() if part.kind == "camera"]
     camera = cameras[0] if cameras else _unused_name(scenario, "camera")
     name = _unused_name(scenario, "rocks")

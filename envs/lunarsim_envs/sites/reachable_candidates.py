@@ -48,9 +48,10 @@ def is_safest_unreachable(p_safe, cells, cost, count, p_safe_enough):
 
 @kernel()
 def _reach_grid(rows, cols, corner, posting, out):
-    """Compute the reach grid, which covers a map with at most 100 cells per side.
+    """Compute the reach grid, on which reachability over a map is computed.
 
-    Writes west, south, grid spacing (m), rows and columns to `out` (5,).
+    It covers the map with at most 100 cells per side. Writes west, south, grid spacing (m), rows
+    and columns to `out` (5,).
     """
     ratio = max(1.0, max(rows, cols) / _SIDE)
     side = posting * ratio
@@ -111,7 +112,8 @@ def reach_lander(state, mass, law):
 def _square_cell_position(k, row, col, side, reach_map, site):
     """Compute the position of one cell in a square of the reach grid, `site` (3,), m.
 
-    The square has `side` cells per side from (row, col); `k` numbers its cells row by row.
+    The reach grid is the coarser grid over the map on which reachability is computed. The square
+    has `side` cells per side from (row, col); `k` numbers its cells row by row.
     """
     grid, corner, posting = reach_map.grid, reach_map.corner, reach_map.posting
     rows, cols = reach_map.height.shape
@@ -128,7 +130,8 @@ def _square_cell_position(k, row, col, side, reach_map, site):
 def _is_square_unreachable(row, col, side, reach_map, lander):
     """Return whether it is proven that a square of the reach grid is out of reach.
 
-    The square has `side` cells per side from (row, col).
+    The reach grid is the coarser grid over the map on which reachability is computed. The square
+    has `side` cells per side from (row, col). False means that nothing is proven.
     """
     low, high, site = np.full(3, np.inf), np.full(3, -np.inf), np.empty(3)
     for k in range(side * side):
@@ -146,7 +149,8 @@ def _is_square_unreachable(row, col, side, reach_map, lander):
 def _survey_tile(row, col, reach_map, lander, out):
     """Compute which cells of a tile of the reach grid are reachable, into `out` (16,).
 
-    The tile has 4 x 4 cells from (row, col).
+    The reach grid is the coarser grid over the map on which reachability is computed. The tile has
+    4 x 4 cells from (row, col).
     """
     sites, cost = np.empty((_TILE * _TILE, 3)), np.empty((_TILE * _TILE, 4))
     for k in range(_TILE * _TILE):
@@ -171,9 +175,11 @@ def _grid_indices(count, corner, posting, grid_corner, grid_spacing, out):
 def _remove_unreachable(row, col, side, reach_map, score, masked, score_maxima, reachable):
     """Remove unreachable map cells in a square of the reach grid from the candidates.
 
-    `reachable` are the flags of the cells in the square; an empty array means that none is
-    reachable. Updates p_safe `masked`, `score` (rows, cols) and its row maxima `score_maxima`
-    (rows,).
+    The reach grid is the coarser grid over the map on which reachability is computed. The square
+    has `side` of its cells per side from (row, col). `reachable` (side * side,) are the flags of
+    these cells by row; an empty array means that none is reachable. In unreachable map cells,
+    p_safe `masked` (rows, cols) becomes 0 and `score` (rows, cols) `NOWHERE`; the row maxima
+    `score_maxima` (rows,) are updated.
     """
     rows, cols = masked.shape
     ratio = reach_map.grid[2] / reach_map.posting
@@ -192,10 +198,10 @@ def _remove_unreachable(row, col, side, reach_map, score, masked, score_maxima, 
 
 @kernel()
 def _evaluate_around(r, c, reach_map, tiles, blocks, lander, masked, score, score_maxima):
-    """Compute reachability around map cell (r, c), unless it is known.
+    """Compute reachability around map cell (r, c), unless it is already known.
 
     Removes unreachable cells from the maps `masked` (p_safe) and `score`. `tiles` and `blocks` mark
-    what was evaluated. Returns whether the candidates may have changed.
+    what has been evaluated. Returns false if the reachability was known; then nothing changes.
     """
     row, col = reach_map.grid_row[r] // _TILE, reach_map.grid_col[c] // _TILE
     if tiles[row, col]:
@@ -294,7 +300,7 @@ def select_reachable(
 
 @kernel()
 def replace_unreachable(cells, cost, count, reachable, reachable_count):
-    """Replace unreachable candidates by reachable cells; return the new number.
+    """Replace unreachable candidates in `cells` by reachable cells; return the count.
 
     `cells` (m, 2) has `count` candidates with `cost` (inf if unreachable); `reachable` has
     `reachable_count` cells. If the candidates already include all of these, nothing changes.

@@ -50,7 +50,7 @@ class FlightSummary:
     safe_by_p_safe: IntArray
 
     def __add__(self, other: FlightSummary) -> FlightSummary:
-        """Return the summary of the flights of both."""
+        """Return the summary of the flights in this summary and another one."""
         return FlightSummary(
             self.flights + other.flights, self.safe + other.safe,
             {name: self.failed[name] + other.failed[name] for name in self.failed},
@@ -122,12 +122,12 @@ class SparseDescentBatch(SiteDescentBatch):
     keeps_maps = False
 
     def begin(self, mask: BoolArray) -> None:
-        """Start new flights in the lanes of `mask` (n,) and fly them to their end."""
+        """Start new flights of the landers of `mask` (n,) and fly them to their end."""
         self.site_p_safe = np.full(self.count, np.nan)
         super().begin(mask)
 
     def scan(self, due: BoolArray) -> None:
-        """Take a scan in the lanes of `due` (n,) and divert to the best lattice site."""
+        """Take a scan for the landers of `due` (n,) and divert to the best lattice site."""
         side = int(2.0 * _REACH / self.maps.posting) + 1
         self._run(
             k.scan_and_divert, 200.0 * self.count, due, self._keys, self._flight_counts, self.y,
@@ -136,7 +136,7 @@ class SparseDescentBatch(SiteDescentBatch):
         )  # fmt: skip
 
     def tally(self, mask: BoolArray) -> FlightSummary:
-        """Return the summary of the ended flights of the lanes of `mask` (n,)."""
+        """Return the summary of the ended flights of the landers of `mask` (n,)."""
         safe = self.safe & mask
         failed = {
             name: int(((self.failed >> bit & 1).astype(bool) & mask).sum())

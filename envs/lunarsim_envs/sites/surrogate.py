@@ -144,7 +144,7 @@ class Surrogate:
     def check(self, scenario: Scenario) -> None:
         """Check that the surrogate holds for the mapper and sensor of a scenario.
 
-        Scenarios with only the first scans are accepted.
+        A scenario with fewer scans is accepted if their altitudes are the first ones of the fit.
 
         Raises
         ------
@@ -218,8 +218,8 @@ def correlated_noise(
     """Generate periodic standard normal fields (terrains, scans, fields, side, side).
 
     Their spatial correlation is a mixture of Gaussians with the lengths `LENGTHS` times `stretch`
-    (terrains, scans) and `weights` (terrains, scans, lengths). Both are passed as bytes, so that
-    the result can be cached.
+    (terrains, scans) and `weights` (terrains, scans, lengths). `weights` and `stretch` are passed
+    as bytes, so that the result can be cached.
     """
     mixed = np.frombuffer(weights).reshape(shape)
     longer = np.frombuffer(stretch).reshape(shape[:2])

@@ -25,7 +25,8 @@ def draw_surrogate_maps(
 ) -> list[NDArray[np.float32]]:
     """Generate random surrogate maps of p_safe (rows, cols) for the scans of a flight.
 
-    Cells outside `is_evaluated` are NaN. The computation is the same as in the kernel.
+    Returns one map per scan; cells outside `is_evaluated` are NaN. The computation is the same as
+    in the kernel `_map_kernels.scan_cell`.
     """
     posting = flight.samples[0].posting
     errors = surrogate.errors(np.array([flight.safe_share]), posting)

@@ -17,7 +17,7 @@ from lunarsim_envs.sites.surrogate_maps import correlation_length, draw_surrogat
 # Classification thresholds: safe at or above the first p_safe, unsafe below the second.
 TOLD_SAFE, TOLD_UNSAFE = 0.9, 0.5
 _SIZES = np.append(hazard.SIZES, np.inf)
-_RESAMPLED = 500
+_RESAMPLES = 50
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def compare_metrics(
     drawn = [draw_surrogate_maps(surrogate, f, rng)[scan] for f in flights if len(f.samples) > scan]
     real, made = quality(samples, maps), quality(samples, drawn)
     again = []
-    for _ in range(_RESAMPLED // 10):
+    for _ in range(_RESAMPLES):
         pick = rng.integers(len(samples), size=len(samples))
         again.append(quality([samples[k] for k in pick], [maps[k] for k in pick]).values)
     # Small-sample correction of the bootstrap standard deviation.

@@ -55,9 +55,9 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         self._actions: NDArray[np.float32] | None = None
 
     def reset(self) -> Any:
-        """Start new episodes in all lanes, with the values of `seed` and `set_options`.
+        """Start new episodes in all environments; return the first observations.
 
-        Returns the first observations.
+        The values of `seed` and `set_options` apply.
         """
         seeds: Any = None if self._seeds[0] is None else list(self._seeds)
         pairs = self._reset_groups()
@@ -70,7 +70,7 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         return observation
 
     def _reset_groups(self) -> list[tuple[dict[str, Any], list[int]]]:
-        """Return pairs of reset options and the lanes to which they apply.
+        """Return pairs of reset options and the environments (indices) that get them.
 
         Options of `set_options` override those of `starts`.
         """
@@ -98,9 +98,10 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         self._actions = actions
 
     def step_wait(self) -> Any:
-        """Step all lanes with the stored actions; return observation, reward, end, info.
+        """Step all environments with the stored actions.
 
-        Only lanes whose episode has ended have a non-empty info.
+        Return observations, rewards, episode ends and infos. Only environments whose episode has
+        ended have a non-empty info.
         """
         observation, reward, terminated, truncated, info = self.batch.step(self._actions)
         over = terminated | truncated
@@ -120,22 +121,22 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         self.batch.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return an attribute of the vector environment, once per lane of `indices`."""
+        """Return an attribute of the vector environment, once per index in `indices`."""
         value = getattr(self.batch, attr_name, None if attr_name == "render_mode" else ...)
         if value is ...:
             raise AttributeError(f"the vector environment has no attribute {attr_name!r}")
         return [value] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Raise an `InputError`, because lanes have no separate attributes."""
+        """Raise an `InputError`, because the environments have no separate attributes."""
         raise InputError("set_attr", attr_name, _SHARED)
 
     def env_method(
         self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
     ) -> list[Any]:
-        """Return the action masks of the lanes of `indices`, for ``action_masks`` only.
+        """Return the action masks of the environments of `indices`.
 
-        Other methods raise an `InputError`.
+        `method_name` must be ``action_masks``; other methods raise an `InputError`.
         """
         if method_name == "action_masks" and hasattr(self.batch, method_name):
             masks = getattr(self.batch, method_name)()
@@ -143,9 +144,9 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         raise InputError("env_method", method_name, _SHARED)
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """Return False for each lane, because lanes are not wrapped separately."""
+        """Return False per environment, because they are not wrapped separately."""
         return [False] * len(list(self._get_indices(indices)))
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """Return None for each lane, because vector environments do not render."""
+        """Return None per environment, because vector environments do not render."""
         return [None] * self.num_envs

@@ -97,8 +97,8 @@ class LocalEngine:
 
         Raises
         ------
-        WorkersDieError
-            If workers end before they are ready.
+        WorkerStartError
+            If `MAX_ATTEMPTS` workers in a row end before they are ready.
         """
         source = iter(groups)
         try:
@@ -162,7 +162,12 @@ class LocalEngine:
             worker.group = None
 
     def _handle_death(self, worker: _Worker) -> Iterator[Finished]:
-        """Queue the flights of a dead worker again; yield a flight that keeps dying."""
+        """Put the unfinished flights of a dead worker back in the queue.
+
+        A flight whose process has died `MAX_ATTEMPTS` times is not repeated: its result with the
+        outcome "killed" is yielded. If as many workers in a row ended before they were ready, a
+        `WorkerStartError` is raised.
+        """
         code = self._remove_worker(worker)
         group = worker.group
         assert group is not None

@@ -142,8 +142,9 @@ class RayEngine:
     def _retry_lost(self, group: Group, queue: list[Group], message: str) -> Iterator[Finished]:
         """Handle a group whose process died, with the error `message` of Ray.
 
-        The arms of the group are added to the `queue` one by one. A group of a single arm is not
-        repeated: its result with the outcome "killed" is yielded.
+        An arm is a variant of the scenario. The arms of the group are added to the `queue` one by
+        one. A group of a single arm is not repeated: its result with the outcome "killed" is
+        yielded.
         """
         if len(group.arms) > 1:
             queue += [replace(group, arms=(arm,)) for arm in group.arms]
@@ -261,7 +262,10 @@ def _children(process: int) -> list[int]:
 
 @contextlib.contextmanager
 def _flight_time_limit(seconds: float | None) -> Iterator[None]:
-    """Raise `_FlightTimeoutError` in the enclosed code after a number of seconds."""
+    """Raise `_FlightTimeoutError` in the enclosed code after a number of seconds.
+
+    None is no limit.
+    """
     if seconds is None:
         yield
         return

@@ -48,7 +48,8 @@ def _plot(identity: str, title: str, caption: str, traces: list[Plot], layout: P
 def _escape_html_tags(value: Any) -> Any:
     """Escape the strings in Plotly data, so that Plotly does not read HTML tags.
 
-    Names of arms are not escaped, because the page compares them and does not display them.
+    An arm is a variant of the scenario. Names of arms are not escaped, because the page compares
+    them and does not display them.
     """
     if isinstance(value, dict):
         return {k: v if k in ("arm", "arms") else _escape_html_tags(v) for k, v in value.items()}
@@ -60,8 +61,8 @@ def _escape_html_tags(value: Any) -> Any:
 def shares_plot(statistics: list[ArmStatistics], intervals: dict[str, tuple[float, float]]) -> Plot:
     """Plot the fraction of safe landings of each arm with its 95 % interval.
 
-    `intervals` has the lower and upper limit by arm name. Arms without a finished flight are
-    omitted.
+    An arm is a variant of the scenario. `intervals` has the lower and upper limit by arm name. Arms
+    without a finished flight are omitted.
     """
     traces = []
     for i, arm in enumerate(statistics):
@@ -91,8 +92,9 @@ def landings_plot(
 ) -> Plot | None:
     """Plot touchdown points and 95 % landing ellipses over the terrain.
 
-    `statistics` has one entry per arm. `terrain` has east and north coordinates, m, and shading, or
-    is the reason why the terrain is not shown.
+    An arm is a variant of the scenario. `statistics` has one entry per arm. `terrain` has east and
+    north coordinates, m, and shading, or is the reason why the terrain is not shown. Without
+    touchdown points in the results, the plot is None.
     """
     if "touchdown_x_m" not in results.manifest["columns"]:
         return None
@@ -149,7 +151,10 @@ def _outline(ellipse: Ellipse) -> tuple[list[float], list[float]]:
 
 
 def reliability_plot(results: Results, statistics: list[ArmStatistics]) -> Plot | None:
-    """Plot the observed fraction of truly safe sites against predicted probability."""
+    """Plot the observed fraction of truly safe sites against predicted probability.
+
+    Without a column of predicted probabilities, the plot is None.
+    """
     if "p_safe" not in results.manifest["columns"]:
         return None
     predicted = column(results, "p_safe")
@@ -196,7 +201,10 @@ def reliability_plot(results: Results, statistics: list[ArmStatistics]) -> Plot 
 
 
 def differences_plot(differences: list[Difference]) -> Plot:
-    """Plot the differences of the fraction of safe landings between pairs of arms."""
+    """Plot the differences of the fraction of safe landings between pairs of arms.
+
+    An arm is a variant of the scenario.
+    """
     names = [f"{d.second} − {d.first}" for d in differences]
     traces = [
         {"type": "scatter", "mode": "markers", "x": [d.value], "y": [name],
@@ -238,7 +246,10 @@ def rare_plot(estimates: list[RareFailureEstimate]) -> Plot:
 
 
 def levels_plot(chains: SubsetChains) -> Plot | None:
-    """Plot the distribution of the failure metric in the levels of subset simulation."""
+    """Plot the distribution of the failure metric in the levels of subset simulation.
+
+    Without a finished level, the plot is None.
+    """
     traces: list[Plot] = []
     reached = 1.0
     for number, level in enumerate(chains.levels):
@@ -267,7 +278,8 @@ def levels_plot(chains: SubsetChains) -> Plot | None:
 def sensitivity_plot(sensitivities: list[Sensitivity]) -> Plot:
     """Plot the sensitivity of safe landings to the random values, with intervals.
 
-    `sensitivities` has one entry per arm; hollow symbols are total indices.
+    An arm is a variant of the scenario. `sensitivities` has one entry per arm; hollow symbols are
+    total indices.
     """
     traces = []
     names: tuple[str, ...] = ()
@@ -311,7 +323,8 @@ def sensitivity_plot(sensitivities: list[Sensitivity]) -> Plot:
 def spread_plot(results: Results, metric: str, label: str) -> Plot:
     """Plot quartiles and 5th and 95th percentiles of a metric for each arm.
 
-    `metric` is the result column, and `label` its name with unit.
+    An arm is a variant of the scenario. `metric` is the result column, and `label` its name with
+    unit.
     """
     traces = []
     flown = pc.equal(results.table["outcome"], "flown").to_numpy(zero_copy_only=False)

@@ -220,7 +220,8 @@ def _common_template_variables(
 def _sensitivity(results: Results) -> tuple[list[Sensitivity], str]:
     """Compute the sensitivity of the fraction of safe landings to the random values.
 
-    Return the sensitivity of each arm, and the reason if there is none.
+    Return the sensitivity of each arm (variant of the scenario), and the reason if there is none.
+    Without random values, the sensitivities and the reason are empty.
     """
     if not results.manifest["identity"].get("dispersions"):
         return [], ""
@@ -235,7 +236,8 @@ def _sensitivity(results: Results) -> tuple[list[Sensitivity], str]:
 def _interval(arm: ArmStatistics, has_stop_rule: bool) -> tuple[float, float]:
     """Return the 95 % interval of the fraction of safe landings of an arm.
 
-    If the campaign has an early-stopping rule (`has_stop_rule`), this is a confidence sequence.
+    An arm is a variant of the scenario. If the campaign has an early-stopping rule
+    (`has_stop_rule`), this is a confidence sequence.
     """
     share = arm.shares["safe"]
     return share_confidence_sequence(share.count, share.total) if has_stop_rule else share.interval
@@ -244,7 +246,8 @@ def _interval(arm: ArmStatistics, has_stop_rule: bool) -> tuple[float, float]:
 def _row(arm: ArmStatistics, low: float, high: float) -> dict[str, Any]:
     """Return the cells of an arm in the report's tables, by column heading.
 
-    `low` and `high` are the limits of the fraction of safe landings.
+    An arm is a variant of the scenario. `low` and `high` are the limits of the fraction of safe
+    landings.
     """
 
     def ranged(value: float, low: float, high: float, form: str) -> str:
@@ -272,7 +275,10 @@ def _row(arm: ArmStatistics, low: float, high: float) -> dict[str, Any]:
 
 
 def _factors(results: Results) -> dict[str, list[str]]:
-    """Return the values of every scenario key in which the arms differ."""
+    """Return the values of every scenario key in which the arms differ.
+
+    An arm is a variant of the scenario.
+    """
     values: dict[str, list[str]] = {}
     for arm in results.manifest["arms"]:
         for key, value in arm["values"].items():
@@ -285,7 +291,8 @@ def _factors(results: Results) -> dict[str, list[str]]:
 def _worst(results: Results) -> list[dict[str, Any]]:
     """Return id and cause of the worst flights of each arm.
 
-    Flights without an outcome come first, then those with high speed and tilt at touchdown.
+    An arm is a variant of the scenario. Flights without an outcome come first, then those with high
+    speed and tilt at touchdown.
     """
     table = results.table
     speed = np.zeros(len(table))
@@ -324,7 +331,8 @@ def _timing(results: Results) -> dict[str, Any]:
 def _terrain_image(results: Results) -> tuple[list[float], list[float], Any] | str | None:
     """Return coordinates and shading of the terrain for the plot of landings.
 
-    Return the reason if the terrain cannot be built, and None if it differs between flights.
+    The result is the reason if the terrain cannot be built, and None if it differs between flights
+    or the folder has no scenario.
     """
     if not (results.folder / "scenario.toml").is_file() or any(
         key.startswith("terrain") for key in results.manifest["inputs"]

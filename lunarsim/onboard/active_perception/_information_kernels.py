@@ -38,9 +38,10 @@ def _removed_uncertainty(
     """Return the fraction of hazard uncertainty that one observation removes.
 
     `sharpness`, `visible`, `displacement` (sensors, 33, 33) and `reduction` (sensors, 129) are the
-    tables of `SensorCoverageModel`. `sensor` is the index of the sensor and `pixel_sharpness` its
-    angle of a pixel, rad, times its `max_sharpness`. The azimuth is from the Sun, the depression
-    that of the line of sight, and `distance` the range, m.
+    tables of `SensorCoverageModel`. `sensor` is the index of the sensor, and `pixel_sharpness` its
+    angle of a pixel, rad, times its `max_sharpness`. `cos_azimuth` is the cosine of the camera's
+    azimuth from the Sun, `sin_depression` the sine of the depression of the line of sight, and
+    `distance` the range, m.
     """
     last = sharpness.shape[1] - 1
     u, v = 0.5 * last * (cos_azimuth + 1.0), last * sin_depression
@@ -88,11 +89,12 @@ def observe_nodes(
 ):
     """Update the removed hazard uncertainty at terrain nodes with one observation.
 
-    A value of `known_fraction` (g,), the fraction removed at each node, rises to that of this
-    observation if the latter is larger, and if the lander can still divert to the node with
-    `time_left` seconds left. `sensor` is the index of a sensor at `position` (3,), m, that points
-    at `site`; `thrust` (3,) gives the direction of the vehicle axis. The other arguments are those
-    of `score_paths`.
+    `known_fraction` (g,), the fraction removed at each of the g nodes, is changed in place: a
+    value rises to that of this observation if the latter is larger, and if the lander can still
+    divert to the node with `time_left` seconds left. Nodes outside the field of view or the range
+    of the sensor do not change; no node does if the gimbal limit is exceeded. `sensor` is the
+    index of a sensor at `position` (3,), m, that points at `site`; `thrust` (3,) gives the
+    direction of the vehicle axis. The other arguments are those of `score_paths`.
     """
     bx, by, bz = site[0] - position[0], site[1] - position[1], site[2] - position[2]
     size = np.sqrt(bx * bx + by * by + bz * bz)
@@ -145,9 +147,10 @@ def path_state(
 ):
     """Compute position and thrust acceleration (3,) at a sample of a polynomial path.
 
-    `position`, m, and `thrust`, m/s^2, receive the results. `sample` is an index into `table`, the
-    fraction of time left and its `powers` (2,). `target` (3,) is the final position, `end_state`
-    (2, 3) final velocity and acceleration, and `terms` the result of `power_terms`.
+    `position`, m, and `thrust`, m/s^2, receive the results. `sample` is a row of `table` (samples,
+    3), which contains the fraction of time left and its two `powers`. `time_to_go` is the duration
+    of the path, s. `target` (3,) is the final position, m, `end_state` (2, 3) final velocity and
+    acceleration, `terms` the result of `power_terms`, and `gravity`, m/s^2, acts downward.
     """
     low, high = table[sample, LOW], table[sample, HIGH]
     time_left = table[sample, TIME_FRACTION] * time_to_go
@@ -168,10 +171,11 @@ def observe_along_path(
 ):  # fmt: skip
     """Update the removed hazard uncertainty at terrain nodes along a path.
 
-    The function returns False if the thrust tilts by more than `max_final_tilt` (a tangent) below
-    the altitude at which observations cease to count. `known_fraction` (g,) is the fraction of
-    hazard uncertainty removed at each node, and `samples` (4, 3) is scratch. The path is defined as
-    for `path_state`; the other arguments are those of `score_paths`.
+    `known_fraction` (g,), the fraction of hazard uncertainty removed at each node, is raised in
+    place by all observations of all sensors. The function returns False if the thrust tilts by
+    more than `max_final_tilt` (a tangent) below the altitude at which observations cease to count,
+    otherwise True. `samples` (4, 3) is scratch. The path is defined as for `path_state`; the other
+    arguments are those of `score_paths`.
     """
     standing_height, min_altitude = site[3], site[4]
     lowest_altitude = np.inf
@@ -222,7 +226,7 @@ def score_paths(
     vehicle_params, max_final_tilt, site, nodes, sharpness, visible, displacement, reduction,
     sensor_params, single_altitudes, out,
 ):  # fmt: skip
-    """Compute the information gained along each candidate path, and its delta-v.
+    """Compute the information gained along each of n candidate paths, and its delta-v.
 
     `out` (n, 2) receives the fraction of hazard uncertainty removed, a weighted mean over the
     terrain `nodes` of `PlanningProblem`, and the delta-v, m/s, which is inf if a limit is violated.
@@ -232,11 +236,11 @@ def score_paths(
     Limits are checked at the samples of `limit_table`, and sensors observe at those of
     `observation_table`; tables, `powers` and `vehicle_params` are as for `evaluate_path`.
     `max_final_tilt` is a tangent and applies at the end and where observations no longer count.
-    `site` (5,) is the site, the height of the centre of mass of a landed vehicle, and the altitude
-    below which observations do not count, m. `single_altitudes` (sensors, k), m, are the altitudes
-    of single observations; a sensor with NaN observes at every sample. The arguments from
-    `sharpness` to `sensor_params` describe the sensors (`SensorCoverageModel`). `thread_slice` is
-    (thread, number of threads).
+    `site` (5,) is the position of the site (3), the height of the centre of mass of a landed
+    vehicle, and the altitude below which observations do not count, m. `single_altitudes`
+    (sensors, k), m, are the altitudes of single observations; a sensor with NaN observes at every
+    sample. The arguments from `sharpness` to `sensor_params` describe the sensors
+    (`SensorCoverageModel`). `thread_slice` is (thread, number of threads).
     """
     total = 0.0
     for g in range(nodes.shape[0]):

@@ -192,7 +192,8 @@ class InformationSeekingGuidance:
         """Return the thrust acceleration (3,), ENU, m/s^2, after planning if it is due.
 
         `end` is the end of the approach, `time` the current time and `time_to_go` the time-to-go
-        from the onboard computer, s.
+        from the onboard computer, s, which is used at the first command and after a divert until a
+        plan exists.
         """
         require_finite_state(estimate, end)
         check_finite("guidance.time_to_go", time_to_go)
@@ -215,7 +216,10 @@ class InformationSeekingGuidance:
         return self._apollo.command(estimate, target_end, time, self.arrival - time)
 
     def _can_replan(self, time: float) -> bool:
-        """Return whether enough time is left for another plan at `time`, s."""
+        """Return whether another plan may be made at `time`, s.
+
+        A decision on the site must still follow, and more than 6 s must be left.
+        """
         return (
             not self._is_past_decisions
             and self.arrival is not None
@@ -232,8 +236,8 @@ class InformationSeekingGuidance:
     ) -> tuple[float, float]:
         """Return propellant (kg) and time-to-go (s) of the cheapest admissible path.
 
-        The path ends at `end` and takes at least `min_time`, s. Without an admissible path the
-        results are inf and NaN.
+        The path starts at `estimate`, ends at `end`, keeps `limits`, and takes at least
+        `min_time`, s. Without an admissible path the results are inf and NaN.
         """
         end_batch = replace(end, position=end.position[None, :])
         cost = divert_cost(
@@ -255,7 +259,10 @@ class InformationSeekingGuidance:
     # --- Plans ----------------------------------------------------------------------------
 
     def _predict_state(self, estimate: Estimate) -> Estimate:
-        """Return the state predicted for the time when a command takes effect."""
+        """Return the state predicted for the time when a command takes effect.
+
+        `estimate` is the current state; only position and velocity are changed.
+        """
         position, velocity = self._lag_model.predict(estimate)
         return replace(estimate, position=position, velocity=velocity)
 
@@ -264,8 +271,9 @@ class InformationSeekingGuidance:
     ) -> None:
         """Plan the best path from the state at which commands take effect, or fall back.
 
-        `site` (3,), m, is the landing site, and `previous` the plan flown before; None: none.
-        `time` is the current time, s.
+        Without a map or an admissible path, the plan stays as it is (none after a divert). If no
+        site decision follows any more, the descent begins instead. `site` (3,), m, is the landing
+        site, and `previous` the plan flown before; None: none. `time` is the current time, s.
         """
         if self._is_past_decisions:
             self._begin_descent(estimate, end, time)
@@ -294,8 +302,10 @@ class InformationSeekingGuidance:
     def _propellant_limit(self, mass: float, cheapest: float) -> float:
         """Return the propellant that a path may use, kg: the rest of the initial budget.
 
-        `mass` is the current mass, kg. The result is at least `cheapest`, the propellant of the
-        cheapest path, kg, so that the site can still be reached when the budget is used up.
+        The budget is fixed once: the propellant of the cheapest path at the first plan plus the
+        allowance; until a path exists, the result is infinite. `mass` is the current mass, kg. The
+        result is at least `cheapest`, the propellant of the cheapest path, kg, so that the site
+        can still be reached when the budget is used up.
         """
         if self._budget is None:
             if not np.isfinite(cheapest):
@@ -304,7 +314,11 @@ class InformationSeekingGuidance:
         return max(mass - self._budget, cheapest if np.isfinite(cheapest) else 0.0)
 
     def _fall_back(self, time: float, reason: str) -> None:
-        """Keep the last plan, or the path of the onboard computer, and report the reason."""
+        """Record at `time`, s, that no new plan was found, and the `reason`.
+
+        The last plan, or the path of the onboard computer, is flown further. Only the first of
+        consecutive failures is recorded.
+        """
         if not self._has_fallen_back:
             self.events.append((time, "guidance-fallback", {"reason": reason}))
         self._has_fallen_back = True

@@ -151,7 +151,8 @@ class InformationPlanner:
     ) -> PathPlan | None:
         """Return the best path within the limits; None if no path is admissible.
 
-        If no path stays below `max_propellant`, the minimum-propellant path is returned.
+        If no candidate stays below `max_propellant`, this limit is raised to the propellant of the
+        cheapest candidate.
 
         Parameters
         ----------
@@ -240,7 +241,8 @@ class InformationPlanner:
     ) -> tuple[Array, Array, Array]:
         """Return net value, information and propellant (kg) of plans (n, 4), each (n,).
 
-        The net value is the information minus the weighted propellant; -inf: not admissible.
+        The information is the fraction of hazard uncertainty removed. The net value is the
+        information minus the weighted propellant; it is -inf for a plan that is not admissible.
         `max_propellant`, kg, limits the propellant of admissible plans.
         """
         scored = self.score(problem, plans)
@@ -277,10 +279,11 @@ class InformationPlanner:
         return out
 
     def _single_altitudes(self, lowest_altitude: float) -> Array:
-        """Return the altitudes of future single observations (sensors, k), m; NaN: none.
+        """Return the altitudes of future single observations (sensors, k), m.
 
-        `lowest_altitude` is the lowest altitude flown so far, m. A sensor without future
-        observations gets an altitude of -inf, which is never reached.
+        `lowest_altitude` is the lowest altitude flown so far, m. Unused elements of a row are NaN.
+        A sensor whose single observations are all in the past gets an altitude of -inf, which is
+        never reached; a sensor that measures at any altitude gets NaN only.
         """
         max_count = max(max((len(o.at) for o in self._schedules), default=0), 1)
         out = np.full((len(self._schedules), max_count), np.nan)
@@ -309,7 +312,8 @@ def _to_enu(problem: PlanningProblem, plans: Array) -> Array:
 def _sensor_params(sensor: SensorCoverageModel, schedules: MeasurementAltitudes) -> list[float]:
     """Return the row of `sensor_params` for the kernel `score_paths` (9,).
 
-    It consists of pixel size, field of view, gimbal limit, ranges, altitudes and Sun direction.
+    It consists of pixel angle, maximum sharpness, cosines of half the field of view and of the
+    gimbal limit, maximum range, highest and lowest measurement altitude, and Sun direction (2).
     """
     field = 1.0 / np.sqrt(1.0 + sensor.half_field**2)
     limit = float(np.cos(min(sensor.gimbal_limit, np.pi)))
@@ -328,7 +332,8 @@ def _sensor_params(sensor: SensorCoverageModel, schedules: MeasurementAltitudes)
 def vehicle_params(estimate: Estimate, lander: Lander, gravity: float, limits: PathLimits) -> Array:
     """Return the `params` of the kernel `evaluate_path` (7,).
 
-    They are gravity, mass, exhaust velocity, and limits of thrust, tilt and glideslope.
+    They are gravity, m/s^2, mass, kg, exhaust velocity, m/s, minimum and maximum thrust reduced by
+    the throttle margin, N, and the tangents of the limits of tilt and glideslope.
     """
     margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     return np.array([
@@ -353,6 +358,9 @@ def _plan_parameters(plan: PathPlan) -> Array:
 
 @lru_cache(maxsize=8)
 def _halton_points(count: int) -> Array:
-    """Return points of a Halton sequence, evenly spread in a unit cube (count, 4)."""
+    """Return points (count, 4) of a Halton sequence in the four-dimensional unit cube.
+
+    They are evenly spread; at least one point is returned.
+    """
     points: Any = qmc.Halton(4, scramble=False).random(max(count, 1) + 1)[1:]
     return np.asarray(points)

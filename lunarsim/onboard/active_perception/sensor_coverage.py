@@ -92,7 +92,8 @@ class SensorCoverageModel:
 def table_directions() -> tuple[Array, Array]:
     """Return the viewing directions at the nodes of the direction tables, rad.
 
-    They are the azimuth from the Sun and the depression of the line of sight, both (33, 33).
+    They are the azimuth of the sensor from the Sun and the depression of the line of sight, both
+    (33, 33), azimuth by rows.
     """
     cosine, sine = np.linspace(-1.0, 1.0, _DIRECTION_NODES), np.linspace(0.0, 1.0, _DIRECTION_NODES)
     azimuth, depression = np.meshgrid(np.arccos(cosine), np.arcsin(sine), indexing="ij")
@@ -161,9 +162,9 @@ def build_camera_model(
 def position_variance(depression: Array) -> Array:
     """Return the variance of positions from a camera at a range of 1 m (...), m^2.
 
-    The variance is the mean over both axes and depends on the `depression` (...), rad. A pointing
-    error moves a position along the line of sight by its angle divided by the sine of the
-    depression; a height error adds to it.
+    The variance is the mean over both horizontal axes and depends on the `depression` of the line
+    of sight (...), rad. A pointing error moves a position along the line of sight by its angle
+    divided by the sine of the depression; a height error adds to it.
     """
     sine = np.maximum(np.sin(depression), 1e-3)
     height = _HEIGHT_SIGMA_RATIO * np.cos(depression)

@@ -46,7 +46,11 @@ def terrain_nodes(hazard_map: HazardMap, side: int, prior: float, site: Array) -
 
 
 def _square_means(layer: Array, side: int) -> Array:
-    """Return means of a map layer (rows, cols) over ``side * side`` equal squares."""
+    """Return means of a map layer (rows, cols) over equal squares (side, side).
+
+    The squares divide the square around the centre of the map whose side is the longer side of the
+    map. A square that contains no part of the map has the mean 0.
+    """
     rows, cols = layer.shape
     size = max(rows, cols)
     # Fractions of each row and column of cells that lie in each row and column of squares.

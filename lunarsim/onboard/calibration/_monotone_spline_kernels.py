@@ -10,12 +10,13 @@ from lunarsim._jit import kernel
 
 @kernel(shared=True)
 def fit_extremes(thread_slice, base, values, knots, first_knot, contributions, low, high):
-    """Write minimum and maximum over the fits of a sum of piecewise linear terms (n,).
+    """Write minimum and maximum over the fits of a sum of piecewise linear terms.
 
-    `base` (1 or n, fits) is the sum of each fit without the terms. Term t of `values` (terms, n)
-    has the knots ``knots[first_knot[t]:first_knot[t + 1]]``; the same rows of `contributions`
-    (knots, fits) are what it adds to each fit there. Beyond its knots a term is constant.
-    `thread_slice` is (first site, step between sites) of one thread.
+    `low` and `high` (n,) receive them for each of n sites. `base` (1 or n, fits) is the sum of
+    each fit without the terms. Term t of `values` (terms, n) has the knots
+    ``knots[first_knot[t]:first_knot[t + 1]]``; the same rows of `contributions` (knots, fits) are
+    what it adds to each fit there. Beyond its knots a term is constant. `thread_slice` is (first
+    site, step between sites) of one thread.
     """
     terms, n = values.shape
     fits = contributions.shape[1]

@@ -88,11 +88,13 @@ def site_probability(
 ) -> Array:
     """Return the safety probability of sites from log odds and upper bounds (n,).
 
-    Outside the domain of the fits, or below the threshold of claimed safety, the log odds are
-    reduced by a wider margin, and the probability is at most `outside_bound`. In the domain of a
-    refit, its scenario's own sites account for rocks under the pads; elsewhere `p_clear` limits the
-    probability. A mixture with the weight `MapRegression.unknown_model_weight` ignores `p_clear`
-    and `outside_bound`, so that sites of very low probability can still be ranked.
+    Outside the domain of the fits, or below the threshold of claimed safety (0.95), the log odds
+    are reduced by a wider margin, and the probability is at most `outside_bound`. In the domain of
+    a refit, its scenario's own sites account for rocks under the pads; elsewhere `p_clear` limits
+    the probability. The result is mixed, with the weight `MapRegression.unknown_model_weight`,
+    with a probability that ignores `p_clear` and `outside_bound`, so that sites of very low
+    probability can still be ranked. Probabilities in the domain of a refit, and without a refit
+    those from 0.95, are not mixed.
 
     Parameters
     ----------

@@ -15,7 +15,11 @@ from lunarsim.errors import InputError
 
 
 def check_number(key: str, value: object) -> float:
-    """Return a value of a calibration as a float; it must be a finite number."""
+    """Return a value of a calibration as a float after checking it.
+
+    `key` is its key, for the message of the `InputError` that is raised if the value is not a
+    finite number.
+    """
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if not (number and abs(value) <= sys.float_info.max):  # type: ignore[arg-type]  # nor NaN
         raise InputError(f"calibration.{key}", value, "must be a finite number")
@@ -38,7 +42,10 @@ class CalibrationTable:
     writer: str
 
     def value(self, key: str, kind: type | None = None) -> Any:
-        """Return the value of a key, of the type `kind`; omitted: of any type."""
+        """Return the value of a key, of the type `kind`; omitted: of any type.
+
+        An `InputError` is raised if the key is missing or its value has another type.
+        """
         if key not in self.data:
             raise InputError(
                 f"calibration.{key}", None, "is missing from the calibration file",
@@ -51,15 +58,24 @@ class CalibrationTable:
         return value
 
     def table(self, key: str) -> CalibrationTable:
-        """Return the table of a key."""
+        """Return the table stored under a key.
+
+        An `InputError` is raised if the key is missing or its value is not a table.
+        """
         return CalibrationTable(self.value(key, dict), self.writer)
 
     def number(self, key: str) -> float:
-        """Return the finite number of a key."""
+        """Return the number stored under a key.
+
+        An `InputError` is raised if the key is missing or its value is not a finite number.
+        """
         return check_number(key, self.value(key))
 
     def range(self, key: str) -> tuple[float, float]:
-        """Return the minimum and maximum of a key."""
+        """Return the minimum and maximum stored under a key.
+
+        An `InputError` is raised if the value is not a list of two finite numbers.
+        """
         value = self.data.get(key)
         if not isinstance(value, list) or len(value) != 2:
             raise InputError(f"calibration.{key}", value, "must be a list of minimum and maximum")

@@ -29,8 +29,8 @@ def lower_bound_probability(
 ) -> Array:
     """Return the safety probability (n,) from minimum log odds over the fits (n,).
 
-    The log odds are reduced by `margin`, the probability by the factor 1 - `MAX_CLAIM_DEFICIT`. The
-    result is at most `upper_bound` (n,).
+    The log odds `low` are reduced by `margin`, the probability by the factor 1 -
+    `MAX_CLAIM_DEFICIT`. The result is at most `upper_bound` (n,).
     """
     return np.asarray(np.minimum((1.0 - MAX_CLAIM_DEFICIT) * expit(low - margin), upper_bound))
 
@@ -57,6 +57,9 @@ def conservative_probability(
     margin: float = LOG_ODDS_MARGIN,
 ) -> Array:
     """Return the safety probability (n,), limited outside the calibrated domain.
+
+    A site in the domain with a probability of at least 0.95 (`ALMOST_CERTAINLY_SAFE_P`) keeps it.
+    For all other sites, `margin` and `outside_bound` apply, and the probability is below 0.95.
 
     Parameters
     ----------

@@ -111,7 +111,8 @@ class CalibrationDomain:
     def is_within_counts(self, hazards: ArrayLike, tilting: ArrayLike) -> BoolArray:
         """Return whether few enough unobserved rocks are expected (...); False for NaN.
 
-        `hazards` and `tilting` are expected numbers, compared with the limits of the domain.
+        `hazards` and `tilting` (...) are the expected numbers of rocks above the roughness limit
+        and of rocks that tilt the lander too far, compared with the limits of the domain.
         """
         with np.errstate(invalid="ignore"):
             return np.asarray(

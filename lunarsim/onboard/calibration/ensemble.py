@@ -62,6 +62,9 @@ class LogOddsBounds:
     ) -> SafetyEstimate:
         """Return the safety probability of the sites, and whether the fits agree.
 
+        The probability follows from the minimum log odds. The fits agree on a site if its
+        probability is at least 0.95, or if the maximum over the fits is at most `max_unsafe_p`.
+
         Parameters
         ----------
         upper_bound
@@ -211,10 +214,10 @@ class Ensemble:
 
     @classmethod
     def packaged(cls, name: str, features: int, rising: int = 0) -> Ensemble:
-        """Read the ensemble from the JSON file `name` in the folder of this module.
+        """Read the ensemble supplied with lunarsim in the JSON file `name`.
 
-        `features` is the number of weights per fit, `rising` the number of last weights that are
-        non-negative.
+        The file is in the folder of this module. `features` is the number of weights per fit,
+        `rising` the number of last weights that are non-negative.
         """
         text = (resources.files("lunarsim.onboard.calibration") / name).read_text(encoding="utf-8")
         return cls._parsed(text, name, features, rising)
@@ -251,7 +254,10 @@ class Ensemble:
 
 
 def _weight(value: object) -> float:
-    """Return a weight read from a file; reject magnitudes that could overflow sums."""
+    """Return a weight read from a file; reject magnitudes that could overflow sums.
+
+    A `ValueError` is raised if the value is not a number of magnitude at most 10^6.
+    """
     if (
         isinstance(value, bool)
         or not isinstance(value, float | int)

@@ -48,7 +48,8 @@ class ExpectedHazardLimits:
     hazards
         Rocks in the footprint above the roughness limit.
     tilting, holes
-        Rocks and holes under the pads that tilt the lander too far.
+        Rocks, and holes in the terrain, that would tilt the lander too far under a pad, counted in
+        the ring that the pads may touch at any heading.
     """
 
     hazards: float
@@ -65,14 +66,15 @@ class MapRegression:
     file
         Name of the file with the weights supplied with lunarsim, in this package.
     knots
-        Knots of each term of the map.
+        Knots of the splines of the map's own terms, one array per term.
     count_knots
-        Knots of the numbers of undetected rocks and holes, decades.
+        Knots of the splines of the expected numbers of undetected rocks and holes, log10.
     rising_terms
-        Number of first terms with which safety increases; it decreases with all others.
+        Number of terms, counted from the first, with whose values the probability of safety
+        increases; it decreases with the values of all other terms.
     limits, near_limits
-        Maximum expected numbers in the domain, and near it, where the fits to all other worlds were
-        conservative enough.
+        Maximum expected numbers of undetected rocks and holes in the domain, and near it, where the
+        fits to all other worlds were conservative enough.
     outside_margin
         Margin on the log odds of sites outside the domain, or not almost certainly safe.
     max_unsafe_p
@@ -145,27 +147,39 @@ class CalibrationEvidence(ABC):
     @property
     @abstractmethod
     def spacing_ratio(self) -> float | Array:
-        """Distance between neighbouring samples over the radius of the legs."""
+        """Distance between neighbouring samples over the radius of the legs.
+
+        One value for all sites or per site.
+        """
 
     @property
     @abstractmethod
     def is_covered_by_fit(self) -> bool:
-        """Whether the measurements of the map are in the range of the fit."""
+        """Whether noise and similar properties of the map are in the range of the fit.
+
+        If not, no site is in the domain.
+        """
 
     @property
     @abstractmethod
     def terrain_slope(self) -> Array:
-        """Tangent of the slope to which a rock adds, over that of the slope limit."""
+        """Terrain slope to which the tilt by a rock adds, relative to the slope limit.
+
+        Ratio of the two tangents, one value per site.
+        """
 
     @property
     @abstractmethod
     def terrain_roughness(self) -> Array:
-        """Roughness to which a rock adds, over the roughness limit."""
+        """Terrain roughness to which the height of a rock adds, over the roughness limit.
+
+        One value per site.
+        """
 
     @property
     @abstractmethod
     def sample_density(self) -> Array:
-        """Samples per square metre that may hit a rock or a hole."""
+        """Samples per square metre that may hit a rock or a hole, one value per site."""
 
     @property
     def may_be_claimed_unsafe(self) -> BoolArray:
@@ -176,35 +190,47 @@ class CalibrationEvidence(ABC):
     def log_sampling(self, where: BoolArray) -> float | Array:
         """Return the logarithm of relative sample spacing or density, () or (n,).
 
-        `where` is the mask of the n sites.
+        Each kind of map uses one of them as a feature: spacing over the radius of the legs, or
+        samples per squared radius. `where` is the mask of the n sites; () is one value for all.
         """
 
     @abstractmethod
     def term_values(self, where: BoolArray) -> Sequence[Array]:
-        """Return the values of the terms with `MapRegression.knots` for n sites (n,)."""
+        """Return the values of the map's own terms for n sites, one array (n,) per term.
+
+        The terms are in the order of `MapRegression.knots`; `where` is the mask of the sites.
+        """
 
     @abstractmethod
     def count_rocks(self, curve: ExceedanceCurve, height: Array, area: float) -> Array:
         """Return the expected number of undetected rocks above a height at each site.
 
-        `curve` is the fraction of terrain above each height; `height` (m) is () or one value per
-        site; `area` (m^2) is where the rocks are counted.
+        It is the number per square metre that follows from `curve` and that the samples miss,
+        times `area` (m^2), in which the rocks are counted. `curve` is the fraction of terrain
+        above each height; `height` (m) is () or one value per site.
         """
 
     @abstractmethod
     def observed_terrain_bound(self) -> Array:
-        """Return the upper bound of safety that single measured values set.
+        """Return the upper bound of the safety probability that measured values set.
 
-        In a sum of evidence, much good evidence can outweigh one fatal defect.
+        One value per site. In a sum of evidence, much good evidence can outweigh one fatal defect,
+        so single measured values such as the slope limit the probability.
         """
 
     @abstractmethod
     def p_no_rock_under_pads(self) -> Array:
-        """Return the probability that no unseen rock tilts the lander beyond its limit."""
+        """Return the probability that no unseen rock tilts the lander beyond its limit.
+
+        One value per site, for rocks in the ring that the pads may touch at any heading.
+        """
 
     @abstractmethod
     def far_bound(self) -> Array:
-        """Return the upper bound of safety far from the domain of the fits."""
+        """Return the upper bound of safety probability far from the domain of the fits.
+
+        One value per site.
+        """
 
     # --- expected undetected hazards ------------------------------------------------------
 
@@ -215,17 +241,27 @@ class CalibrationEvidence(ABC):
 
     @cached_property
     def tilting_height(self) -> Array:
-        """Height of a rock under a pad that tilts the lander to its limit, m."""
+        """Height of a rock under a pad that tilts the lander to its limit, m.
+
+        One value per site: the terrain slope adds to the tilt.
+        """
         return tilt_limit_rock_height(self.terrain_slope, self.lander)
 
     @cached_property
     def expected_tilt_violations(self) -> Array:
-        """Expected number of unseen rocks under the pads that tilt the lander too far."""
+        """Expected number of unseen rocks that would tilt the lander too far under a pad.
+
+        One value per site, counted in the ring that the pads may touch at any heading.
+        """
         return self.count_rocks(self.curve, self.tilting_height, pad_ring_area(self.lander))
 
     @cached_property
     def expected_hole_violations(self) -> Array:
-        """Expected number of unseen holes under the pads that tilt the lander too far."""
+        """Expected number of unseen holes that would tilt the lander too far under a pad.
+
+        One value per site, counted in the ring that the pads may touch at any heading. Holes are
+        depressions at least as wide as a pad.
+        """
         width = self.lander.pad_diameter
         found = self.holes.missed_holes(self.tilting_height, self.sample_density, width)
         return np.asarray(pad_ring_area(self.lander) * found)
@@ -234,7 +270,7 @@ class CalibrationEvidence(ABC):
     def expected_roughness_violations(self) -> Array:
         """Expected number of unseen rocks in the footprint above the roughness margin.
 
-        The margin is the roughness limit minus the measured roughness.
+        One value per site. The margin is the roughness limit minus the measured roughness.
         """
         height = (1.0 - self.terrain_roughness) * self.lander.roughness_limit
         return self.count_rocks(self.curve, height, footprint_area(self.lander))
@@ -243,7 +279,7 @@ class CalibrationEvidence(ABC):
     def expected_hazards(self) -> Array:
         """Expected number of unseen rocks in the footprint above the roughness limit.
 
-        The measured roughness is ignored.
+        One value per site. The measured roughness is ignored.
         """
         height = np.array(self.lander.roughness_limit)
         return self.count_rocks(self.curve, height, footprint_area(self.lander))
@@ -263,12 +299,17 @@ class CalibrationEvidence(ABC):
     def near_domain(self) -> BoolArray:
         """Mask of the sites for which the regression is calibrated or conservative.
 
-        More undetected rocks and holes are permitted than for `in_domain`.
+        It includes the sites in `in_domain`, and others with more expected undetected rocks and
+        holes, where fits to other worlds still gave low enough probabilities.
         """
         return self._is_within(self.regression.near_limits)
 
     def _is_within(self, limits: ExpectedHazardLimits) -> BoolArray:
-        """Return where expected rocks and holes are few enough for a domain."""
+        """Return which sites are observed and within the limits of a domain.
+
+        `limits` are the maximum expected numbers of rocks and holes. No site is within them if the
+        measurements or the lander's slope limit are outside the range of the fit.
+        """
         low, high = SLOPE_LIMIT_RANGE_RAD
         if not (self.is_covered_by_fit and low <= self.lander.slope_limit <= high):
             return np.zeros(self.observed.shape, np.bool_)
@@ -280,9 +321,10 @@ class CalibrationEvidence(ABC):
         return np.asarray(self.observed & few)
 
     def outside_domain_bound(self) -> Array:
-        """Return the upper bound of safety outside the domain of the fits.
+        """Return the upper bound of safety probability outside the domain of the fits.
 
-        Near the domain, where the fits are still accurate enough, it is 1.
+        Near the domain (`near_domain`), where the fits are still accurate enough, it is 1,
+        elsewhere `far_bound`. One value per site.
         """
         return np.where(self.near_domain, 1.0, self.far_bound())
 
@@ -307,12 +349,20 @@ class CalibrationEvidence(ABC):
         return model.evaluate_log_odds(self._unconstrained(where), self._terms(where))
 
     def _unconstrained(self, where: BoolArray) -> Array:
-        """Return 1, log noise, log sampling and its square, for all sites or each."""
+        """Return the features with weights of any sign, (4,) or (n, 4).
+
+        They are 1, log noise, log sampling (`log_sampling`) and its square; equal for all sites or
+        for each of the n sites in the mask `where`.
+        """
         s, noise = self.log_sampling(where), np.log(self.noise_ratio + 1e-3)
         return np.stack(np.broadcast_arrays(1.0, noise, s, s**2), axis=-1)
 
     def _terms(self, where: BoolArray) -> list[MonotoneSplineTerm]:
-        """Return the regression's monotone terms for the sites in the mask `where`."""
+        """Return the regression's monotone terms for the sites in the mask `where`.
+
+        They are the terms of the map, the expected numbers of rocks and holes, and the fractions
+        of terrain above heights and below depths.
+        """
         r, limit = self.regression, self.lander.roughness_limit
         terms = [
             MonotoneSplineTerm(values, knots, is_decreasing=n >= r.rising_terms)

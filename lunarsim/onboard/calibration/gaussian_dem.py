@@ -156,12 +156,12 @@ class MapEvidence(CalibrationEvidence):
 
     @property
     def terrain_slope(self) -> Array:
-        """Same as `slope`."""
+        """Nominal slope over the slope limit, as tangents (rows, cols); same as `slope`."""
         return self.slope
 
     @property
     def terrain_roughness(self) -> Array:
-        """Same as `roughness`."""
+        """Nominal roughness over the roughness limit (rows, cols); same as `roughness`."""
         return self.roughness
 
     @property
@@ -181,11 +181,18 @@ class MapEvidence(CalibrationEvidence):
         return n0 <= self.noise_ratio <= n1 and s0 <= self.spacing_ratio <= s1
 
     def log_sampling(self, where: BoolArray) -> float:
-        """Return the logarithm of the relative spacing, the same for all sites."""
+        """Return the logarithm of the sample spacing over the radius of the legs.
+
+        It is the same for all sites; `where` is not used.
+        """
         return float(np.log(self.spacing_ratio))
 
     def term_values(self, where: BoolArray) -> Sequence[Array]:
-        """Return probits of slope and roughness safety, and ratios to the limits (n,)."""
+        """Return the values of the six terms of the map for the sites in `where` (n,).
+
+        They are probits of slope and roughness safety, by a horizontal plane and by support
+        planes, and slope and roughness relative to their limits.
+        """
         tests = (t for s in (self.level, self.planes) for t in (s.p_slope, s.p_roughness))
         probits = (ndtri(np.clip(p[where].astype(np.float64), 1e-12, 1.0 - 1e-9)) for p in tests)
         return *probits, self.slope[where], self.roughness[where]
@@ -193,8 +200,10 @@ class MapEvidence(CalibrationEvidence):
     def count_rocks(self, curve: ExceedanceCurve, height: Array, area: float) -> Array:
         """Return the expected number of unseen rocks above a height around each site.
 
-        `curve` is the fraction of terrain above each height; `height` (m) is () or one value per
-        site (rows, cols); `area` (m^2) is where the rocks are counted. The result is (rows, cols).
+        The fraction of terrain above the height, divided by the top area of such a rock, is the
+        number of rocks per m^2; the part that samples of the given density miss, and that another
+        sensor leaves, is multiplied by `area` (m^2). `curve` is the fraction of terrain above each
+        height; `height` (m) is () or one value per site (rows, cols). The result is (rows, cols).
         """
 
         def unseen(above: Array, where: BoolArray | None = None) -> Array:
@@ -216,8 +225,9 @@ class MapEvidence(CalibrationEvidence):
         """Return the upper bound of safety that slope and roughness set (rows, cols).
 
         In a sum of evidence, much good evidence can outweigh one fatal defect. The probability is
-        therefore at most `_MAX_P_FACTOR` times the lower of slope and roughness safety by support
-        planes. Close to the slope limit, no fit has enough sites to claim safety.
+        therefore at most four times the lower of the probabilities that slope and roughness by
+        support planes are within their limits. Close to the slope limit, no fit has enough sites
+        to claim safety, and the bound is lower.
         """
         p_worst = np.minimum(self.planes.p_slope, self.planes.p_roughness).astype(np.float64)
         ceiling = np.interp(self.slope, *_SLOPE_CEILING)
@@ -226,11 +236,11 @@ class MapEvidence(CalibrationEvidence):
     def p_no_rock_under_pads(self) -> Array:
         """Return the probability that no unseen rock tilts the lander beyond its limit.
 
-        Such a rock lies under a pad and raises the slope above its limit. On a slope even a low
-        rock violates the slope limit: twice the expected number is used, with the counts of gravel.
-        Where a rock below the minimum counted height would violate the limit, the number of such
-        rocks comes only from the mission's distribution, and the probability stays below the
-        threshold of claimed safety. The result is (rows, cols).
+        Such a rock lies in the ring that the pads may touch and raises the slope above its limit.
+        Their expected number includes gravel and is doubled, because on a slope even a low rock
+        violates the slope limit. Where a rock below the minimum counted height would violate the
+        limit, the number of such rocks comes only from the mission's distribution, and the
+        probability stays below the threshold of claimed safety. The result is (rows, cols).
         """
         height = self.tilting_height
         rocks = self.count_rocks(self.curve.with_gravel, height, pad_ring_area(self.lander))
@@ -242,8 +252,9 @@ class MapEvidence(CalibrationEvidence):
     def far_bound(self) -> Array:
         """Return the lower of Eqs. 15 to 17 and the probability of no rough rock.
 
-        The result is (rows, cols). The equations are those of the Gaussian DEM paper. A rough rock
-        is unobserved and exceeds the roughness margin.
+        This bounds the safety probability far from the domain of the fits; the result is (rows,
+        cols). The equations are those of the Gaussian DEM paper. A rough rock is unobserved and
+        exceeds the roughness margin.
         """
         none = np.exp(-np.nan_to_num(self.expected_roughness_violations, nan=np.inf))
         return np.minimum(self.level.p_safe.astype(np.float64), none)

@@ -105,7 +105,9 @@ def _newton_step(
 ) -> Array:
     """Return the weights (k,) after a bounded Newton step with backtracking.
 
-    `x` (n, k) are the features, `y` (n,) the outcomes, `w` (k,) the current weights.
+    `x` (n, k) are the features, `y` (n,) the outcomes, `w` (k,) the current weights, and
+    `lower_bounds` (k,) their bounds; `loss`, `gradient` and `curvature` are the result of
+    `_likelihood`. If no step reduces the loss, `w` is returned.
     """
     root = cholesky(curvature)
     aim = root @ w - solve_triangular(root, gradient, trans="T")

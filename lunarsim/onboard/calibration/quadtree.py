@@ -143,17 +143,24 @@ class SiteEvidence(CalibrationEvidence):
 
     @property
     def terrain_slope(self) -> Array:
-        """Same as `fitted_slope`."""
+        """Slope of the zone's least-squares plane over the slope limit (n,), tangents.
+
+        Same as `fitted_slope`.
+        """
         return self.fitted_slope
 
     @property
     def terrain_roughness(self) -> Array:
-        """Height of the highest point without noise, relative to the limit (n,)."""
+        """Height of the highest point of the footprint over the roughness limit (n,).
+
+        It is the distance from the terrain plane minus three standard deviations of noise, not
+        below 0.
+        """
         return self.denoised_relief()[0]
 
     @property
     def sample_density(self) -> Array:
-        """Same as `min_density`."""
+        """Minimum density of points in the footprint (n,), 1/m^2; same as `min_density`."""
         return self.min_density
 
     @property
@@ -169,16 +176,27 @@ class SiteEvidence(CalibrationEvidence):
 
     @property
     def may_be_claimed_unsafe(self) -> BoolArray:
-        """Same as `may_be_unsafe`."""
+        """Mask of the sites that may count as almost certainly unsafe (n,).
+
+        Same as `may_be_unsafe`: the mean terrain exceeds a limit even with its holes filled.
+        """
         return self.may_be_unsafe
 
     def log_sampling(self, where: BoolArray) -> Array:
-        """Return the logarithm of the relative point density of sites in a mask (m,)."""
+        """Return the logarithm of the relative point density of m sites (m,).
+
+        It is the number of points per squared radius of the legs. `where` is the mask of the
+        sites.
+        """
         density = np.maximum(self.density[where], 0.1)
         return np.asarray(np.log(density * self.lander.leg_radius**2))
 
     def term_values(self, where: BoolArray) -> Sequence[Array]:
-        """Return slopes, distances and shares that indicate danger, for a mask (m,)."""
+        """Return the values of the map's 14 terms for the m sites in `where`, each (m,).
+
+        They are slopes, distances and fractions that indicate danger, in the order of the knots of
+        `QUADTREE`.
+        """
         point, spread = self.denoised_relief()
         values = (
             self.slope,
@@ -199,14 +217,20 @@ class SiteEvidence(CalibrationEvidence):
         return [v[where] for v in values]
 
     def count_rocks(self, curve: ExceedanceCurve, height: Array, area: float) -> Array:
-        """Return an upper estimate of undetected rocks above a height (m) (n,)."""
+        """Return an upper estimate of undetected rocks above a height at each site (n,).
+
+        It is `ExceedanceCurve.missed_rocks` of `curve` at `height` (m) and the minimum point
+        density in the footprint, times `area`, m^2.
+        """
         return np.asarray(area * curve.missed_rocks(height, self.min_density))
 
     def denoised_relief(self) -> tuple[Array, Array]:
         """Return highest point and spread of points without noise, relative to the limit.
 
-        Both (n,). Three standard deviations of noise are subtracted from the highest point, and the
-        noise variance from that of the spread.
+        Both are (n,), over the roughness limit. The first is the maximum distance of a point of
+        the footprint from its plane minus three standard deviations of noise; the second is the
+        spread of the zone's points about the fitted plane, from whose variance the noise variance
+        is subtracted.
         """
         noise = self.noise / self.lander.roughness_limit
         spread = np.sqrt(np.maximum(self.fitted_spread**2 - noise**2, 0.0))
@@ -231,7 +255,8 @@ class SiteEvidence(CalibrationEvidence):
 
         In a weighted sum, many favourable inputs can outweigh one that is fatal. For slopes or
         roughness near or beyond the limit of the lander, the upper limits are the fraction of safe
-        sites in the simulated terrain used for the fit, at most `MAX_PROBABILITY`.
+        sites in the simulated terrain used for the fit, at most `MAX_PROBABILITY`. For sites that
+        were not evaluated, the limit is 0.
         """
         factors = (
             np.interp(self.slope, *_SLOPE_CEILING),
@@ -256,6 +281,10 @@ class SiteEvidence(CalibrationEvidence):
         return np.asarray(MAX_PROBABILITY * np.nan_to_num(np.where(matters, clear, 1.0), nan=0.0))
 
     def far_bound(self) -> Array:
-        """Return the probability of no undetected rock (n,)."""
+        """Return the probability that no undetected rock violates a limit (n,).
+
+        Rocks above the roughness margin and rocks that tilt the lander too far count; 0 where a
+        site was not evaluated. It bounds the safety probability far from the domain of the fits.
+        """
         rocks = -self.expected_roughness_violations - self.expected_tilt_violations
         return np.nan_to_num(np.exp(rocks), nan=0.0)

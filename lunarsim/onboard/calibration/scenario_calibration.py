@@ -159,7 +159,7 @@ class ScenarioCalibration(StoredCalibration):
                 )  # fmt: skip
 
     def check_regression(self, model: Ensemble) -> None:
-        """Raise an error if the regression differs from the regression of the fit."""
+        """Raise an `InputError` if the regression differs from the regression of the fit."""
         if model.digest != self.regression:
             raise InputError(
                 "calibration.regression", self.regression,
@@ -183,7 +183,10 @@ class ScenarioCalibration(StoredCalibration):
 
 
 def has_enough_sites(safe: BoolArray) -> bool:
-    """Return whether `safe` (n,) has enough safe and unsafe sites to fit a stage."""
+    """Return whether `safe` (n,) has enough safe and unsafe sites to fit a stage.
+
+    At least 20 of each are needed.
+    """
     return bool(min(safe.sum(), (~safe).sum()) >= MIN_SITES_PER_CLASS)
 
 

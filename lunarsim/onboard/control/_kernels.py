@@ -22,7 +22,7 @@ def limited_torque(error, rate, inertia, frequency, damping, slew_limit, max_tor
 
     `error` (rad) is the commanded minus the estimated angle, `rate` (rad/s) the angular rate, and
     `slew_limit` (rad/s) the limit of the commanded rate. `frequency` (rad/s) and `damping` (ratio)
-    are those of the closed loop.
+    are those of the closed loop. `inertia` is in kg m^2; `max_torque` (N m) limits the result.
     """
     # Large errors saturate the commanded rate as well as the torque.
     commanded_rate = min(max(frequency / (2.0 * damping) * error, -slew_limit), slew_limit)
@@ -35,7 +35,8 @@ def compute_torque(state, target, gains, inertia, torque_max):
     """Write the torque (3,), N m, of the proportional-derivative law to `state[7:]`.
 
     `state` (10,) is estimated attitude (4), rate (3) and torque (3); `target` (4,) is the commanded
-    attitude. `gains` is natural frequency (rad/s), damping ratio, slew limit (rad/s).
+    attitude. `gains` is natural frequency (rad/s), damping ratio, slew limit (rad/s). `inertia`
+    (3,) is in kg m^2, `torque_max` (3,) in N m.
     """
     error = np.empty(3)
     rotation_vector_between(state[:4], target, error)
@@ -60,8 +61,8 @@ def propagate_attitude(state, angle_increment, step):
 def replay(state, target, gains, inertia, torque_max, increments, step):
     """Return the torques (n, 3), N m, of the law for recorded angle increments (n, 3).
 
-    Each step computes the torque and then propagates the attitude. The other arguments are those of
-    `compute_torque`.
+    Each step computes the torque and then propagates the attitude in `state` by an increment, rad.
+    `step` is the sample period, s; the other arguments are those of `compute_torque`.
     """
     torques = np.empty((increments.shape[0], 3))
     for n in range(increments.shape[0]):
@@ -75,8 +76,10 @@ def replay(state, target, gains, inertia, torque_max, increments, step):
 def thrust_attitude(acceleration, mass, thrust_min, thrust_max, heading, max_tilt, attitude):
     """Write the attitude (4,) for a thrust acceleration (3,); return the thrust, N.
 
-    The acceleration is in ENU, m/s^2. The tilt is limited to `max_tilt` (rad). If the thrust does
-    not suffice, the vertical component has priority.
+    The acceleration is in ENU, m/s^2, `mass` in kg, and `heading` is the azimuth of body x, rad.
+    The tilt is limited to `max_tilt` (rad), the thrust to `thrust_min` and `thrust_max` (N). If the
+    thrust does not suffice, the vertical component has priority. `attitude` receives the
+    quaternion.
     """
     max_torque = thrust_max / mass
     up = min(max(acceleration[2], 1e-3), max_torque)

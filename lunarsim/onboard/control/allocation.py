@@ -71,6 +71,11 @@ class ThrusterAllocation:
         return bool(np.allclose(made, axes, atol=1e-6))
 
     def _find_optimal_bases(self) -> tuple[IntArray, Array]:
+        """Return the optimal bases of the linear program, and their inverses.
+
+        Each basis is the indices of three thruster groups (n, 3). Its inverse (n, 3, 3) converts a
+        torque, N m, to the thrusts of these groups, N.
+        """
         bases, inverses = [], []
         for chosen in combinations(range(len(self._columns)), 3):
             basis = self._columns[list(chosen)].T

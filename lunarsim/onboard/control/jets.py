@@ -123,7 +123,8 @@ class JetLoop(AttitudeLoop):
     def _detect_failures(self) -> None:
         """Update the failure detector with the last period; stop using failed thrusters.
 
-        The detector compares the measured rate change of the period with the commanded one.
+        The detector compares the measured rate change of the period with the commanded one. Failed
+        thrusters stay in use if the others cannot produce a torque in every direction.
         """
         rate, before = self.state[4:7].copy(), self._rate
         self._rate = rate
@@ -141,6 +142,11 @@ class JetLoop(AttitudeLoop):
                 self.allocation = left
 
     def _command_thrusters(self) -> None:
+        """Compute and store the on-times and gimbal angles of the next period.
+
+        Thrusters that failed in the last period are excluded first. The mean torque of the firings
+        is written to `state[7:]`.
+        """
         self._detect_failures()
         error = np.empty(3)
         rotation_vector_between(self.state[:4], self.target, error)

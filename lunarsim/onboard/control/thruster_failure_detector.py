@@ -73,6 +73,8 @@ class ThrusterFailureDetector:
     ) -> list[int]:
         """Update the estimates with one period; return the newly failed thrusters.
 
+        The result is a list of thruster indices, empty if no thruster failed.
+
         Parameters
         ----------
         rate_change

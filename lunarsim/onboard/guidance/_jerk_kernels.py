@@ -40,7 +40,10 @@ def _squared(constant, linear, factor, displacement, out, column):
 
 @kernel(inline=True)
 def _polynomial(coefficients, column, u):
-    """Return the value at `u` of the quartic polynomial in a column of `coefficients`."""
+    """Return the value at `u` of the quartic polynomial in a column of `coefficients`.
+
+    `coefficients` (5, 16) has one polynomial per column, the constant term first.
+    """
     return coefficients[0, column] + u * (
         coefficients[1, column]
         + u
@@ -67,9 +70,10 @@ def _is_within_limits(terms, column, inverse_time, max_squares):
 
 @kernel(inner=True)
 def _refine(terms, low, high, max_squares):
-    """Bisect 16 time brackets between a violated and a kept limit, in place.
+    """Bisect the brackets of 16 minimum times-to-go, in place.
 
-    `low` and `high` (16,), s, are the brackets; only the lower ends violate a limit. `terms` and
+    `low` and `high` (16,), s, are the ends of the brackets, one per target: a path of time `low`
+    violates the limit of jerk or snap, a path of time `high` keeps both limits. `terms` and
     `max_squares` are those of `_is_within_limits`.
     """
     for _ in range(_HALVINGS):
@@ -84,9 +88,10 @@ def _refine(terms, low, high, max_squares):
 def min_times_to_go(thread_slice, position, velocity, targets, v_f, a_f, times, jerk, snap, out):
     """Find the minimum time-to-go within the limits of jerk and snap for each target.
 
-    The path leads from `position` and `velocity` (3,) to `targets` (n, 3) with velocity `v_f` and
-    acceleration `a_f` (3,). `times` (m,), s, ascend; the minimum is bracketed by them and bisected
-    40 times. `out` (n,) receives the times, s, NaN if no time keeps the limits `jerk` and `snap`.
+    The path leads from `position` and `velocity` (3,) to `targets` (n, 3) with final velocity `v_f`
+    and acceleration `a_f` (3,), SI. `times` (m,), s, are tried in ascending order; the interval up
+    to the first one that keeps the limits `jerk` (m/s^3) and `snap` (m/s^4) is bisected 40 times.
+    `out` (n,) receives the minimum times, s, or NaN if none of `times` keeps the limits.
     `thread_slice` is (thread, number of threads).
     """
     count, inverse, good = targets.shape[0], 1.0 / times, np.empty(len(times), np.bool_)

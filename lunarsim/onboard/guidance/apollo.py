@@ -22,7 +22,10 @@ from lunarsim.value_checks import check_finite
 
 @dataclass(frozen=True)
 class ApolloLaw(PathLaw):
-    """Settings of the Apollo polynomial guidance law (Klumpp 1974)."""
+    """Settings of the Apollo polynomial guidance law (Klumpp 1974).
+
+    The law itself is the `PathGuidance` that `build` returns for one flight.
+    """
 
     @property
     def shape(self) -> PathShape:
@@ -40,8 +43,8 @@ def jerk_time_to_go(
 ) -> float:
     """Return the time-to-go (s) of a quartic path with a given final jerk.
 
-    It is the root of ``J T^3 - 6 A T^2 + (18 V_f + 6 V) T - 24 (R_f - R) = 0`` nearest to the
-    guess (Klumpp's cubic, which counts T negative); NaN if no root is positive.
+    It is the positive root of ``J T^3 - 6 A T^2 + (18 V_f + 6 V) T - 24 (R_f - R) = 0`` nearest to
+    the guess (Klumpp's cubic, which counts T negative); NaN if no root is positive.
 
     Parameters
     ----------

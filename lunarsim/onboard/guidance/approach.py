@@ -141,9 +141,11 @@ class Approach:
         return self.time_to_go is None and self.jerk is None
 
     def is_finished(self, altitude: float, time_to_go: float) -> bool:
-        """Return whether the approach ends at an altitude and a time-to-go, s.
+        """Return whether the approach is over at an altitude (m) and a time-to-go (s).
 
-        `altitude` is that of the footpads, m.
+        `altitude` is that of the footpads above the site. The approach is over at or below
+        `vertical_altitude` or `takeover_altitude`, or if the time-to-go is at most
+        `end_time_to_go`.
         """
         end = max(self.vertical_altitude, self.takeover_altitude)
         return altitude <= end or time_to_go <= self.end_time_to_go

@@ -16,10 +16,11 @@ def initial_time_to_go(
 ) -> tuple[float, bool]:
     """Return the initial time-to-go of the approach, s, and whether it is admissible.
 
-    The time follows from the jerk or the time in the settings `approach`; otherwise it is
-    `optimal_time`, s, that of the minimum-propellant path. If this is not finite, no time is
-    admissible, and a fallback from distance and speed is returned. `end` is the end of the
-    approach.
+    If the settings `approach` have a jerk, the time follows from it; otherwise it is
+    `approach.time_to_go`. Both count as admissible without a check of the path limits. If neither
+    is set, the time is `optimal_time`, s, that of the minimum-propellant path. If this is not
+    finite, no time is admissible: the results are a time from distance and speed, and False. `end`
+    is the end state of the approach.
     """
     if approach.jerk is not None:
         guess = approach.time_to_go or fallback_time(estimate, end)

@@ -123,8 +123,8 @@ class Braking:
     def time_left(self, estimate: Estimate, end: PhaseEnd, guess: float) -> float:
         """Return the time-to-go (s) that gives the jerk at the end, or the guess.
 
-        The guess, s, is returned if no jerk is set or Klumpp's cubic has no root within a third of
-        it.
+        The guess, s, is returned if no jerk is set, if the guess is at most `end_time_to_go`, or if
+        Klumpp's cubic has no root within a third of the guess.
         """
         if self.jerk is None or guess <= self.end_time_to_go:
             return guess
@@ -136,8 +136,8 @@ class Braking:
         """Return the command for a thrust acceleration, within limits of thrust and tilt.
 
         `acceleration` (3,) is in m/s^2, `heading` is that of the lander, rad, and `time` the time
-        since the start of the flight, s. If `max_tilt` is 90 deg or more, the thrust may point
-        downward (`thrust_lift_first`).
+        since the start of the flight, s. Before `min_thrust_time` the thrust is the minimum. If
+        `max_tilt` is 90 deg or more, the thrust may point downward (`thrust_lift_first`).
 
         Raises
         ------

@@ -60,7 +60,7 @@ class LimitViolationMonitor:
 
 @dataclass
 class PositionCorrectionLimiter:
-    """Limit the rate of navigation's position corrections near the end of a path.
+    """Limit the rate of horizontal position corrections near the end of a path.
 
     A navigation filter corrects its position in steps, sometimes by a metre. A path with a
     time-to-go T responds to a step d with an acceleration of 6 d / T^2: 1.5 m/s^2 for 1 m and 2 s.
@@ -86,6 +86,8 @@ class PositionCorrectionLimiter:
 
     def limit(self, estimate: Estimate, time_left: float) -> Estimate:
         """Return the navigation estimate with a rate-limited position, for guidance.
+
+        Only the horizontal position can differ from that of `estimate`.
 
         Parameters
         ----------

@@ -74,7 +74,7 @@ class GuidanceLaw(Protocol):
     def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2.
 
-        The thrust compensates gravity.
+        It is thrust over mass, which includes the compensation of gravity.
 
         Parameters
         ----------

@@ -65,7 +65,10 @@ class DivertCost:
 
     @property
     def feasible(self) -> BoolArray:
-        """Whether each site can be reached (n,)."""
+        """Whether each site can be reached (n,).
+
+        A site can be reached if its propellant is finite.
+        """
         return np.isfinite(self.propellant)
 
 
@@ -126,15 +129,17 @@ def divert_cost(
 
 @lru_cache(maxsize=32)
 def _sample_table(shape: PathShape, samples: int) -> Array:
+    """Return `core.sample_table` of a path shape (samples + 1, 3), cached."""
     return np.asarray(core.sample_table(shape.powers, samples))
 
 
 def divert_params(
     shape: PathShape, end: PhaseEnd, lander: Lander, gravity: float, limits: PathLimits
 ) -> core.DivertParams:
-    """Return paths of a law to an end, and limits of a lander, for compiled functions.
+    """Pack path shape, end state, lander and limits for compiled functions.
 
-    `gravity` is in m/s^2.
+    `gravity` is the downward acceleration, m/s^2. The thrust range is reduced by the throttle
+    margin of `limits`; the position of `end` is not included.
     """
     margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     params = (

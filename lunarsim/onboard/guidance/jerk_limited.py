@@ -68,7 +68,7 @@ def min_times_to_go(
 ) -> Array:
     """Return the minimum times-to-go within limits of jerk and snap (n,), s.
 
-    The result is NaN above 1000 s.
+    Times from 1 s to 1000 s are searched; the result is NaN if none of them keeps the limits.
 
     Parameters
     ----------

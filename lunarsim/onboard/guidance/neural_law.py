@@ -178,8 +178,10 @@ class NeuralGuidance:
     def _evaluate_network(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array | None:
         """Return the network's thrust over mass (3,), m/s^2; None if another law flies.
 
-        The result is None if the state is outside the training domain, the output violates the
-        limits, or E-guidance flies the last seconds.
+        The result is None if the problem or the state is outside the training domain, the output
+        violates the limits by more than the tolerances, or E-guidance flies the last seconds. If
+        the network flew before and the Apollo law has no admissible path, a violating output is
+        clipped instead.
         """
         if not self._matches_training(end):
             self._fall_back(estimate, end, time, "problem differs from training")
@@ -265,9 +267,10 @@ class NeuralGuidance:
         return float(cost.time_to_go[0])
 
     def _fall_back(self, estimate: Estimate, end: PhaseEnd, time: float, reason: str) -> None:
-        """Switch to the Apollo law, with its optimal time-to-go if one is admissible.
+        """Switch to the Apollo law; the network is tried again after `settings.interval`.
 
-        `reason` is reported in the event.
+        If that law does not fly already, an event with `reason` is recorded, and the arrival time
+        becomes that of the law's minimum-propellant path, if one is admissible.
         """
         self._next_attempt = time + self.settings.interval
         if not self._is_fallback:

@@ -204,9 +204,11 @@ class OptimalGuidance:
     # --- plans ----------------------------------------------------------------------------
 
     def _replan(self, estimate: Estimate, end: PhaseEnd, time: float, *, ignore_last: bool) -> None:
-        """Plan from the state at which commands take effect; fall back if that fails.
+        """Plan a path from the predicted state; switch to the Apollo law if that fails.
 
-        With `ignore_last`, the previous plan is not used as a first guess.
+        The state is predicted one response lag ahead, when commands take effect. A plan with more
+        solver iterations than the settings allow counts as failed. With `ignore_last`, the previous
+        plan is not used as a first guess.
         """
         before = self._planner.iterations
         path, reason = self._plan_path(estimate, end, time, None if ignore_last else self._plan)
@@ -305,9 +307,11 @@ class OptimalGuidance:
     def _fall_back(
         self, estimate: Estimate, end: PhaseEnd, time: float, reason: str, iterations: int
     ) -> None:
-        """Switch to the Apollo law, with its optimal time-to-go if one is admissible.
+        """Drop the plan and switch to the Apollo law until the next plan succeeds.
 
-        `reason` and the number of solver `iterations` are reported in the event.
+        If that law does not fly already, an event with `reason` and the number of solver
+        `iterations` is recorded, and the arrival time becomes that of the law's minimum-propellant
+        path, if one is admissible.
         """
         if not self._is_fallback:
             self.events.append(

@@ -71,7 +71,8 @@ def reduce_state(
 class OptimalNetwork:
     """Trained network that maps a state to optimal thrust and time-to-go.
 
-    Its layers are tanh of linear functions; the inputs enter in two scalings.
+    Its layers are linear functions, followed by tanh except in the last layer; the inputs enter in
+    two scalings.
 
     Attributes
     ----------
@@ -84,7 +85,7 @@ class OptimalNetwork:
         Scales of the outputs (4,): thrust over mass in the axes of `reduce_state`, m/s^2, and
         time-to-go, s.
     weights, biases
-        Weights and biases of the layers (m, n) and (m,).
+        Weights (outputs, inputs) and biases (outputs,) of each layer.
     problem
         Parameters of the training (7,): gravity (m/s^2), minimum and maximum thrust (N), exhaust
         velocity and final downward speed (m/s), maximum tilt and glideslope (rad).

@@ -43,7 +43,10 @@ class CompiledFeedback:
         self.gravity, self.gains = float(gravity), np.array(gains, dtype=np.float64)
 
     def __call__(self, position: Array, velocity: Array, end: PhaseEnd, time_to_go: float) -> Array:
-        """Return the acceleration towards `end` (3,), m/s^2, gravity included."""
+        """Return the acceleration towards `end` (3,), m/s^2, gravity included.
+
+        `position` and `velocity` (3,) are in m and m/s, `time_to_go` is in s.
+        """
         out = np.empty(3)
         evaluate_formula(
             self.formula, np.array([position, velocity], dtype=np.float64),
@@ -69,7 +72,10 @@ class ActuatorLagModel:
         self._response[COMMAND_TIME] = np.nan
 
     def advance(self, time: float) -> None:
-        """Propagate the modelled acceleration of the vehicle to `time`, s."""
+        """Propagate the modelled acceleration of the vehicle to `time`, s.
+
+        It approaches the last recorded command exponentially.
+        """
         advance_response(self._response, time, self.lag)
 
     def record_command(self, acceleration: Array) -> None:
@@ -77,7 +83,10 @@ class ActuatorLagModel:
         self._response[COMMANDED:COMMAND_TIME] = acceleration
 
     def predict(self, estimate: Estimate) -> tuple[Array, Array]:
-        """Predict position and velocity (3,), m and m/s, one lag ahead."""
+        """Predict position and velocity (3,), m and m/s, one lag ahead.
+
+        The modelled acceleration from the last call of `advance` is held constant over the lag.
+        """
         ahead = np.empty((2, 3))
         state = np.array([estimate.position, estimate.velocity])
         predict_response(state, self._response, self.lag, ahead)

@@ -76,7 +76,7 @@ class PathShape:
     Raises
     ------
     InputError
-        If the powers violate this.
+        If the powers are not finite, or not in this order.
     """
 
     low: float

@@ -44,7 +44,10 @@ from lunarsim.typing import Array
 
 @dataclass(frozen=True)
 class EGuidanceLaw(PathLaw):
-    """Settings of the E-guidance law (Cherry 1964): acceleration linear in time."""
+    """Settings of the E-guidance law (Cherry 1964): acceleration linear in time.
+
+    The law itself is the `PathGuidance` that `build` returns for one flight.
+    """
 
     @property
     def shape(self) -> PathShape:
@@ -160,7 +163,7 @@ class ZemZevLaw(PathLaw):
 
     @property
     def shape(self) -> PathShape:
-        """Shape of E-guidance, whose paths are the same for a vehicle without lag."""
+        """Shape of the paths: that of E-guidance, to which the law is equal without lag."""
         return E_GUIDANCE
 
 
@@ -188,7 +191,7 @@ class ModifiedApolloLaw(ApolloLaw):
         limits: PathLimits | None = None,
         times: Array | None = None,
     ) -> DivertCost:
-        """Return the propellant cost of reaching each end within the limits.
+        """Return the propellant cost of reaching each of n ends of an approach.
 
         Time-to-go is the optimal admissible one above the minimum from the limits of jerk and snap;
         `times` (n,), s, replaces it. `limits` are those of thrust, tilt, glideslope and propellant.

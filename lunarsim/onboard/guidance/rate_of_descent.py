@@ -185,7 +185,11 @@ class RateOfDescentLaw:
         return np.array([*self._horizontal, max(up, 0.3 * self.gravity)])
 
     def _update_tilt(self, estimate: Estimate, end: PhaseEnd) -> None:
-        """Choose the horizontal acceleration that corrects the horizontal velocity."""
+        """Store the horizontal acceleration that corrects the horizontal velocity.
+
+        The desired velocity points to the pilot's aim point, and is zero at low height. The maximum
+        tilt limits the acceleration. `end` is the touchdown state.
+        """
         s = self.settings
         low = estimate.position[2] - end.position[2] < s.zero_speed_height
         share = 0.0 if low else 1.0 / s.velocity_time

@@ -13,8 +13,9 @@ def plane_sums(points, x0, y0, side, out):
     """Accumulate the moments 1, x, y, z, xx, xy, yy, xz, yz of points per square.
 
     `points` (n, 3) are east, north, up, m. (`x0`, `y0`) is the south-west corner of the raster of
-    squares and `side` the side of a square, m. `out` (rows, cols, 9) receives the sums. x and y are
-    measured from the centre of the raster.
+    squares and `side` the side of a square, m. The sums are added to `out` (rows, cols, 9), which
+    has one entry per square; points off the raster are skipped. x and y are measured from the
+    centre of the raster.
     """
     rows, cols = out.shape[:2]
     for n in range(points.shape[0]):

@@ -191,7 +191,8 @@ class HazardMap:
         """Return the probability of safe terrain when aiming at each cell (rows, cols).
 
         The touchdown point is Gaussian about the aim point. The result is p_safe averaged over the
-        touchdown point, as in the ALHAT programme. Unobserved terrain counts as unsafe.
+        touchdown point, as in the ALHAT programme. Unobserved terrain counts as unsafe, and the
+        result is 0 in unobserved cells.
 
         Parameters
         ----------

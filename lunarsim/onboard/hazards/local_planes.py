@@ -32,7 +32,7 @@ class LocalPlaneGrid:
         """Choose squares with a side of about two typical triangle edges.
 
         `grid` holds the cells of the map; `edges` (m,) are edge lengths of the triangles between
-        elevation samples, m.
+        elevation samples, m. The side is between 2 and 64 cells; without edges it is 8 cells.
         """
         if not len(edges):
             return cls(grid, 8)
@@ -47,7 +47,8 @@ class LocalPlaneGrid:
         """Look up the values of the squares that contain given points.
 
         `values` (square rows, square columns, ...) has one entry per square. `points` (n, 2 or
-        more) start with east and north, m. The result has shape (n, ...).
+        more) start with east and north, m. The result has shape (n, ...); points off the map get
+        the value of the nearest square at its edge.
         """
         row, col = self.grid.cell(points[:, :2])
         rows, cols = self.shape
@@ -60,7 +61,8 @@ class LocalPlaneGrid:
         `vertices` (n, 3) are the samples: east, north, up, m. The fit of a square uses the samples
         in the 5 x 5 squares centred on it. The result (square rows, square columns, 3) contains the
         height of the plane at the centre of the raster of squares, m, its slope to the east and its
-        slope to the north.
+        slope to the north. With fewer than six samples, or samples on one line, the plane is
+        horizontal at their mean height; without samples it is 0.
         """
         west, _, south, _ = self.grid.extent
         sums = np.zeros((*self.shape, 9))

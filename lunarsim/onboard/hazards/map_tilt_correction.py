@@ -26,7 +26,10 @@ class MapTiltCorrection:
         self._applied_rotation = np.eye(3)
 
     def apply(self, time: float, mass: float) -> None:
-        """Rotate all maps by the change of the tilt estimate since the last call.
+        """Rotate all maps by the change of the tilt estimate since the last rotation.
+
+        Nothing happens if the navigation filter estimates no rotation, or if the angle is less than
+        `NEGLIGIBLE_TILT_RAD`.
 
         Parameters
         ----------

@@ -61,7 +61,7 @@ class HazardMapper(ABC):
         """Move the map to another centre if its present centre is too far from it.
 
         Called when navigation has updated the target position. Mapped terrain keeps its
-        coordinates; terrain outside the moved map may be dropped.
+        coordinates; terrain outside the moved map may be dropped. The default does nothing.
 
         Parameters
         ----------
@@ -73,7 +73,8 @@ class HazardMapper(ABC):
         """Rotate terrain that was mapped before the tilt of the lander was known.
 
         Called when navigation has corrected its tilt estimate. Terrain that was mapped while the
-        standard deviation of the tilt was at most `NEGLIGIBLE_TILT_RAD` is not rotated.
+        standard deviation of the tilt was at most `NEGLIGIBLE_TILT_RAD` is not rotated. The default
+        does nothing.
 
         Parameters
         ----------
@@ -104,7 +105,7 @@ class HazardMapper(ABC):
     def refresh(self, time: float) -> None:  # noqa: B027
         """Do the work that is due at a time (s), such as an update of the map.
 
-        Called once per control cycle, after the measurements.
+        Called once per control cycle, after the measurements. The default does nothing.
         """
 
     def scoreboard(self, site: Array) -> Scoreboard | None:
@@ -238,9 +239,10 @@ def check_map_size(size: float, posting: float, lander: Lander) -> None:
 
 
 def calibration_path_error(path: Path | str, error: InputError) -> InputError:
-    """Return the error of an invalid calibration file under `calibration_path`.
+    """Convert an error in a calibration file to an error in `calibration_path`.
 
-    `error` is that of the reading function.
+    `path` is the file and `error` the error raised by the function that reads it. The returned
+    error, which the caller raises, names the scenario key `calibration_path`.
     """
     if error.field == "calibration":  # about the file itself
         return error.with_field("calibration_path")
@@ -281,7 +283,7 @@ def checked_hazard_map(name: str, part: object, mapper: HazardMapper, time: floa
     Raises
     ------
     InputError
-        If the mapper returns another type or a map with invalid arrays; the error names the mapper.
+        If the mapper returns another type or fails with an InputError; the error names the mapper.
     """
     table = f"mappers.{name}"
     with prefix_input_errors(table):

@@ -21,6 +21,8 @@ class UnleveledScans:
     def includes(self, tilt_sigma: float) -> bool:
         """Return whether a scan with this tilt uncertainty must be rotated later.
 
+        After the first scan with a known tilt, the result is False for all scans.
+
         Parameters
         ----------
         tilt_sigma
@@ -31,6 +33,8 @@ class UnleveledScans:
 
     def is_tilt_known(self, tilt_sigma: float) -> bool:
         """Return whether the tilt is known, so that rotated scans become final.
+
+        If it is, `includes` returns False for all later scans.
 
         Parameters
         ----------

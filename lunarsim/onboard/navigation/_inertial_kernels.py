@@ -11,7 +11,7 @@ from lunarsim._jit import kernel
 
 @kernel()
 def _rotation(quaternion, matrix):
-    """Write the rotation matrix (3, 3) of a unit quaternion, scalar last."""
+    """Write the matrix of a unit quaternion (4,), scalar last, to `matrix` (3, 3)."""
     x, y, z, w = quaternion
     matrix[0, 0] = 1.0 - 2.0 * (y * y + z * z)
     matrix[0, 1] = 2.0 * (x * y - w * z)
@@ -28,8 +28,9 @@ def _rotation(quaternion, matrix):
 def _read_sample(angle, velocity, n, step, last_sample):
     """Write rate and specific force of sample n to `last_sample` (6,), unless missing.
 
-    The return value states whether the sample is present. `angle` (n, 3), rad, and `velocity` (n,
-    3), m/s, are increments over `step`, s; a sample with NaN is missing.
+    The return value states whether the sample is present. `angle`, rad, and `velocity`, m/s, both
+    (samples, 3), are increments over `step`, s; a sample that is not finite is missing, and
+    `last_sample` then stays unchanged.
     """
     good = True
     for k in range(3):
@@ -45,9 +46,11 @@ def _read_sample(angle, velocity, n, step, last_sample):
 def _write_transition(rotation, rotated_force, rate, step, phi):
     """Write the state-transition matrix of the errors over a step to `phi` (15, 15).
 
-    `phi` starts as the identity. `rotation` is the attitude matrix (3, 3) in the middle of the
-    step, `rotated_force` (3, 3) its product with the cross-product matrix of the specific force,
-    and `rate` (3,) the body rate.
+    The errors are position, velocity, accelerometer bias, attitude and gyroscope bias. `phi` must
+    be the identity or the result of an earlier call; only the other elements are written.
+    `rotation` is the attitude matrix (3, 3) in the middle of the step, `rotated_force` (3, 3) its
+    product with the cross-product matrix of the specific force, `rate` (3,) the body rate, rad/s,
+    and `step` is in s.
     """
     for i in range(3):
         phi[i, 3 + i] = step
@@ -67,9 +70,9 @@ def _write_transition(rotation, rotated_force, rate, step, phi):
 def _random_walks(step, velocity, angle, accelerometer, gyroscope):
     """Return the variances that random walks of given densities add in one step.
 
-    The densities are those of velocity, angle, accelerometer bias and gyroscope bias. The results
-    are the variance of position, covariance of position and velocity, and variances of velocity,
-    attitude, accelerometer bias and gyroscope bias.
+    `step` is its length, s. The densities are those of velocity, angle, accelerometer bias and
+    gyroscope bias. The results are the variance of position, covariance of position and velocity,
+    and variances of velocity, attitude, accelerometer bias and gyroscope bias.
     """
     return (
         velocity**2 * step**3 / 3.0,
@@ -83,7 +86,11 @@ def _random_walks(step, velocity, angle, accelerometer, gyroscope):
 
 @kernel(inline=True)
 def _add_noise(variances, covariance):
-    """Add the variances (6,) from `_random_walks` to an error covariance (15, 15)."""
+    """Add the random walks of an interval to `covariance` (15, 15), in place.
+
+    `variances` (6,) from `_random_walks` are five variances, and at index 1 the covariance of
+    attitude and gyroscope bias. Each applies to the three axes of its error.
+    """
     for i in range(3):
         covariance[i, i] += variances[0]
         covariance[i, 3 + i] += variances[1]
@@ -105,7 +112,8 @@ def propagate(state, last_sample, angle, velocity, step, gravity, density, densi
     random-walk densities of velocity, angle, accelerometer bias and gyroscope bias, and
     `density_without_samples` (2,) those of velocity and angle while samples are missing. The
     results are the new state (16,), and transition (15, 15) and noise (15, 15) over all samples.
-    Errors are in the order of Eq. 1 of the paper, attitude as a small rotation in body axes.
+    The errors are position, velocity, accelerometer bias, attitude (a small rotation in body axes)
+    and gyroscope bias, as in Eq. 1 of the paper.
     """
     x = state.copy()
     total = np.eye(15)

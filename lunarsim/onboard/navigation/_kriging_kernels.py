@@ -80,8 +80,10 @@ def _search_square(
 ):
     """Insert the points of one grid square into the list of nearest points.
 
-    The return value is the list's length. The square is given by `row` and `col` of `cols` columns;
-    distances are from (`x`, `y`). The other parameters are those of `sort_by_square` and `_insert`.
+    The list is `indices` and `squared_distances` (k,), with `count` entries before; the return
+    value is the number of entries after. The square is given by its `row` and `col` in a grid with
+    `cols` columns; distances are from (`x`, `y`), m. `east`, `north` (n,), `order` and `first` are
+    coordinates and results of `sort_by_square`.
     """
     square = row * cols + col
     for k in range(first[square], first[square + 1]):
@@ -165,8 +167,9 @@ def _solve(a, b):
 def _height_at(east, north, squares, known_height, x, y, count, variance_growth, nugget_sigma):
     """Return the terrain height at one point (x, y), m, by ordinary kriging.
 
-    `east`, `north` (n,), m, are the points with known heights `known_height` (n,), m; `squares` is
-    their order from `sort_by_square`. The other parameters are those of `interpolate_heights`.
+    The height is a weighted mean of the `count` nearest known heights. `known_height` (n,), m, are
+    those at `east`, `north` (n,), m, and `squares` is the result of `sort_by_square`.
+    `variance_growth`, m^2/m, and `nugget_sigma`, m, are those of `interpolate_heights`.
     """
     neighbours = np.empty(count, np.int64)
     squared_distances = np.empty(count)
@@ -198,10 +201,11 @@ def _height_at(east, north, squares, known_height, x, y, count, variance_growth,
 def interpolate_heights(known_xy, known_height, query_xy, count, variance_growth, nugget_sigma):
     """Interpolate terrain heights (b,), m, at points `query_xy` by ordinary kriging.
 
-    The points are (b, 2), m. Heights `known_height` (n,), m, are known at `known_xy` (n, 2), m;
-    each result is a weighted mean of the `count` nearest ones (n >= `count`). `variance_growth` is
-    the growth of the variance of a height difference with distance, m^2/m. `nugget_sigma` is the
-    standard deviation of a height from the terrain around it (nugget), m.
+    The points are (b, 2), m; a point that is not finite gives NaN. Heights `known_height` (n,), m,
+    are known at `known_xy` (n, 2), m; each result is a weighted mean of the `count` nearest ones
+    (n >= `count`). `variance_growth` is the growth of the variance of a height difference with
+    distance, m^2/m. `nugget_sigma` is the standard deviation of a height from the terrain around
+    it (nugget), m.
     """
     out = np.empty(len(query_xy))
     east, north = known_xy[:, 0].copy(), known_xy[:, 1].copy()
@@ -234,8 +238,10 @@ def _intersect_line(
 ):
     """Write the intersection of one line of sight with the terrain to `out` (3,), m.
 
-    `east`, `north`, `squares` and `known_height` are those of `_height_at`; the other parameters
-    are those of `intersect_lines`, for one line.
+    The line starts at `origin` (3,), m, and advances by `per_drop` (2,), east and north, per metre
+    of drop; a secant iteration starts at `start_height`, m. If it does not converge, the iterate
+    closest to the terrain is written. If `per_drop` is not finite, the height is NaN.
+    `iteration_limits` is that of `intersect_lines`, the other parameters those of `_height_at`.
     """
     passes, tolerance, min_slope, max_slope = iteration_limits
     last_height, last_gap, nearest_yet = start_height, np.nan, np.inf
@@ -284,11 +290,13 @@ def intersect_lines(
 ):
     """Return the intersections (b, 3), m, of lines of sight with kriged terrain.
 
-    The lines start at `origin` (3,), m, and advance by `per_drop` (b, 2), east and north, per metre
-    of drop. A secant iteration starts from the heights `start_height` (b,), m. `iteration_limits`
-    is the maximum number of iterations, the height tolerance (m), and the minimum and maximum
-    factor of a step relative to the last height difference. The other parameters define the terrain
-    as for `interpolate_heights`.
+    The lines start at `origin` (3,), m, and advance by `per_drop` (b, 2), east and north, per
+    metre of drop. A secant iteration starts from the heights `start_height` (b,), m; without
+    convergence, the iterate closest to the terrain is returned. A step is the gap between terrain
+    and line, divided by the decrease of the gap per metre of height in the last step.
+    `iteration_limits` is the maximum number of iterations, the gap (m) at which they stop, and the
+    limits (minimum, maximum) of this decrease. The other parameters define the terrain as for
+    `interpolate_heights`.
     """
     out = np.empty((len(per_drop), 3))
     east, north = known_xy[:, 0].copy(), known_xy[:, 1].copy()
@@ -316,8 +324,8 @@ def count_covered_squares(points, side, max_count):
     """Count the grid squares that contain at least one of the points (n, 3), m.
 
     Counting stops at `max_count`. Squares have the side `side`, m, and start at the minimum east
-    and north. NaN marks missing points. The result is -1 if the grid of squares would be too large,
-    as for a scan that grazes the terrain.
+    and north of the points. A point with NaN as east or north is ignored. The result is -1 if the
+    points span 4 million squares or more, as for a scan that grazes the terrain.
     """
     west, east, south, north = np.inf, -np.inf, np.inf, -np.inf
     for i in range(len(points)):

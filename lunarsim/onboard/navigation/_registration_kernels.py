@@ -23,14 +23,16 @@ def tile_log_likelihoods(
 ):
     """Return the log-likelihood ratio of a scanned tile at each of n places on a map.
 
-    `map_height`, `map_negative_log_density` and `map_known` (rows, cols) are heights above the
-    local planes, m, the negative logarithm of their density over the map, and 1 where known, else
-    0. `tile_height`, `tile_weight`, `half_inverse_variance` and `peak_log_density` (r, c) describe
-    the tile: heights above the local planes, m; 1 where known, else 0; 1 / (2 variance) of the
-    height residual, 1/m^2; logarithm of the residual's density at 0. Densities are in 1/m.
-    `min_ratio` is the minimum log-likelihood ratio of a grid point. `row` and `col` (n,) locate the
-    map grid point below the tile's first grid point; they can lie off the map. The results are the
-    sum of the ratios over the grid points (n,), and the number of compared grid points (n,).
+    The ratio compares the map heights below the tile, given the tile, with their density over the
+    entire map; positive where the tile fits. `map_height`, `map_negative_log_density` and
+    `map_known` (rows, cols) are heights above the local planes, m, the negative logarithm of their
+    density over the map, and 1 where known, else 0. `tile_height`, `tile_weight`,
+    `half_inverse_variance` and `peak_log_density` (r, c) describe the tile: heights above the
+    local planes, m; 1 where known, else 0; 1 / (2 variance) of the height residual, 1/m^2;
+    logarithm of the residual's density at 0. Densities are in 1/m. `min_ratio` is the minimum
+    log-likelihood ratio of a grid point. `row` and `col` (n,) locate the map grid point below the
+    tile's first grid point; they can lie off the map. The results are the sum of the ratios over
+    the grid points known in tile and map (n,), and the number of these grid points (n,).
     """
     n = row.size
     rows, cols = map_height.shape
@@ -75,12 +77,13 @@ def _no_squares():
 
 @kernel()
 def average_points(points, x0, y0, posting, min_count):
-    """Average scan points (n, 3) over the squares of a grid.
+    """Average scan points (n, 3), m, over the squares of a grid.
 
     The square (0, 0) is centred at `x0`, `y0`, and squares have the side `posting`, m. NaN points,
     and squares with fewer than `min_count` points, are omitted. The results are the column (m,),
-    row (m,), mean point (m, 3) and number of points (m,) of each square, row by row; columns and
-    rows can be negative or outside the map.
+    row (m,), mean point (m, 3) and number of points (m,) of each of the m squares, row by row;
+    columns and rows can be negative or outside the map. All results are empty if the points span
+    more than 4 million squares or lie too far from the square (0, 0).
     """
     n = points.shape[0]
     col = np.empty(n, np.int64)
@@ -137,9 +140,10 @@ def centre_heights(col, row, mean, x0, y0, posting, centre_tolerance):
     """Extrapolate mean heights to the square centres along slopes between neighbours.
 
     `col`, `row` (n,) and `mean` (n, 3) are the result of `average_points`, for a grid with origin
-    `x0`, `y0` and squares with the side `posting`, m. The results are height (n,) and slope (n, 2)
-    at the centres, and `good` (n,): whether the square has neighbours on all four sides and its
-    mean point lies within `centre_tolerance` of the centre.
+    `x0`, `y0` and squares with the side `posting`, m. The results are height (n,), m, and slope
+    (n, 2), east and north, at the centres, and `good` (n,): whether the square has neighbours on
+    all four sides and its mean point lies within `centre_tolerance`, m, of the centre along each
+    axis. Height and slope have no meaning where `good` is False.
     """
     m = col.size
     height = np.empty(m)

@@ -90,7 +90,8 @@ def aiding_blocks(instruments: Mapping[str, Any], terrain_prior: TerrainPrior) -
     """Return initial covariances of the errors that aiding sensors add to the state.
 
     The result maps the name of each block (group of errors) to its covariance (k, k): terrain
-    height, terrain heights at the beam footprints, speed biases, star-tracker misalignments.
+    height, terrain heights at the beam footprints, speed biases, star-tracker misalignments. The
+    blocks of terrain heights are omitted if the prior terrain height is exact.
 
     Parameters
     ----------
@@ -215,7 +216,11 @@ class AidingMeasurements:
         return {f"{sensor} {kind}": monitor for (sensor, kind), monitor in self._monitors.items()}
 
     def add_terrain_noise(self) -> None:
-        """Add process noise to the terrain height for the distance since the last call."""
+        """Add process noise to the terrain height for the distance since the last call.
+
+        The distance is the horizontal movement of the lander. If the state has no error of the
+        terrain height, nothing changes.
+        """
         if not self.state.has(TERRAIN):
             return
         here = self.state.inertial.position[:2]
@@ -310,7 +315,11 @@ class AidingMeasurements:
             self._range(sensor, distance, deviation, beam, time, k)
 
     def _add_bias_noise(self, sensor: str, time: float) -> None:
-        """Add the random walk of a velocimeter's beam biases since its last reading."""
+        """Add the random walk of a velocimeter's beam biases since its last reading.
+
+        `time` is the time of the reading, s. If the state has no such biases, only the time is
+        stored.
+        """
         block, last = _speed_block(sensor), self._last_reading.get(sensor, time)
         self._last_reading[sensor] = time
         if self.state.has(block):
@@ -367,15 +376,15 @@ class AidingMeasurements:
         return np.asarray(height * direction[:2] / max(-float(direction[2]), MIN_DOWN_COSINE))
 
     def _move_footprint(self, sensor: str, beam: Any, number: int) -> int:
-        """Move a beam's terrain-height state to its current footprint; return its index.
+        """Move a beam's terrain-height state to its footprint; return its state index.
 
         `number` is the index of the beam among the beams of the sensor; `beam` (3,) is its
         direction in body axes. The new height is a weighted mean of the height at the last
         footprint and the height below the lander; the weight of the last one decays with the
         distance between the footprints, relative to their distance from the lander. Without such a
         state, the height difference between a slanted beam's footprint and the terrain below the
-        lander would be averaged away like white noise, and terrain slopes would be taken for a tilt
-        of the lander.
+        lander would be averaged away like white noise, and terrain slopes would be taken for a
+        tilt of the lander.
         """
         state, offset = self.state, self._footprint_offset(beam)
         footprint, distance = state.inertial.position[:2] + offset, float(np.hypot(*offset))
@@ -401,9 +410,10 @@ class AidingMeasurements:
         """Monitor the speeds of each velocimeter beam, and exclude a single faulty beam.
 
         `outcomes` contains the update outcome of each beam by number. A velocity error of the
-        lander would affect all beams. If one beam alone raises an alarm and the others agree with
-        the estimate, that beam is excluded. The variances of velocity and accelerometer bias are
-        increased by the effect that the fault may have had.
+        lander would affect all beams. If only one beam raises an alarm and all others agree with
+        the estimate, that beam is excluded, and the variances of velocity and accelerometer bias
+        are increased by the effect that its fault may have had. Other alarms inflate the
+        covariance.
         """
         monitors = {k: self._monitor(sensor, _beam_kind(k)) for k in outcomes}
         before = {k: monitor.lost for k, monitor in monitors.items()}
@@ -460,7 +470,8 @@ class AidingMeasurements:
             deviations after an inflation.
         drift_cause
             Errors (j,) that can explain a drift, and the standard deviations (j,) that they are
-            raised to; default: a bias of the inertial unit.
+            raised to; default: the accelerometer bias for speeds, the gyroscope bias for attitudes,
+            and no errors for other kinds.
 
         Returns
         -------
@@ -496,8 +507,10 @@ class AidingMeasurements:
     ) -> None:
         """Inflate the covariance and record events according to the result of a monitor.
 
-        `was_lost` states whether the monitor was `lost` before the measurement. The other
-        parameters are those of `record_outcome`.
+        A drift raises the variances of the errors that can explain it; another alarm inflates
+        those of `columns`; a consistent result changes nothing. `was_lost` states whether the
+        monitor was `lost` before the measurement. The other parameters are those of
+        `record_outcome`.
         """
         monitor = self._monitor(sensor, kind)
         if result is MonitorResult.DRIFT:

@@ -10,7 +10,6 @@ from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_to_ma
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.instruments import LidarInstrument
-from lunarsim.onboard.navigation import _registration_kernels as k
 from lunarsim.onboard.navigation import _registration_kernels as kernels
 from lunarsim.onboard.navigation.inertial import StrapdownState
 from lunarsim.typing import Array, IntArray
@@ -44,13 +43,13 @@ def average_scan(points: Array, grid: Grid, min_points: int = 4) -> ScanSurface:
     """Average scan points (n, 3), m, over the squares of a grid; NaN is missing.
 
     `min_points` is the minimum number of points in a square. The averages are extrapolated to the
-    square centres along the slopes; squares without four neighbours or with uneven points are
-    omitted.
+    square centres along the slopes. Squares are omitted if they have no neighbours on all four
+    sides, or if their mean point is farther than a quarter of the grid spacing from the centre.
     """
-    col, row, mean, _ = k.average_points(
+    col, row, mean, _ = kernels.average_points(
         np.ascontiguousarray(points), grid.x0, grid.y0, grid.posting, min_points
     )
-    height, slope, good = k.centre_heights(
+    height, slope, good = kernels.centre_heights(
         col, row, mean, grid.x0, grid.y0, grid.posting, 0.25 * grid.posting
     )
     col, row, height, slope = col[good], row[good], height[good], slope[good]
@@ -98,9 +97,9 @@ class CorrectedScan:
     scan
         Scan with corrected ranges and mount.
     position, attitude
-        Pose of the lander at the time of the scan (3,), (4,).
+        Pose of the lander at the time of the scan: ENU (3,), m, and quaternion, body to ENU (4,).
     velocity, rate
-        (3,), m/s, same frame; (3,), rad/s, body axes.
+        Velocity (3,), m/s, in the same frame, and body rate (3,), rad/s.
     """
 
     scan: LidarScan
@@ -126,7 +125,7 @@ class CorrectedScan:
         )
 
     def transformed(self, rotation: Array, attitude: Array, position: Array) -> CorrectedScan:
-        """Return the scan in another frame.
+        """Return the scan with its pose and velocity in another frame.
 
         `rotation` (3, 3) and `attitude` (4,) are the rotation from this frame to the other, as a
         matrix and as a quaternion; `position` (3,), m, is the origin of this frame in the other.
@@ -139,7 +138,12 @@ class CorrectedScan:
         )
 
     def moved(self, error: Array) -> CorrectedScan:
-        """Return the scan with estimated errors (11,) of pose and scanner added."""
+        """Return the scan with estimated errors (11,) of pose and scanner added.
+
+        The errors are position (3, m), small rotation in body axes (3, rad), range (m), boresight
+        (3, rad) and latency (s). The pose changes by the first six and by the motion during the
+        latency; ranges and mount of the scan change by range error and boresight error.
+        """
         latency = float(error[10])
         turn = quat_from_rotation_vector(error[3:6])
         attitude = quat_multiply(self.attitude, turn)
@@ -153,23 +157,32 @@ class CorrectedScan:
         return replace(self, scan=scan, position=position, attitude=attitude)
 
     def points(self) -> Array:
-        """Return the points of the scan (n, 3), m; NaN marks missing returns."""
+        """Return the points of the scan (n, 3), m; NaN marks missing returns.
+
+        They are in the frame of the pose (usually the local frame), and follow from one pose for
+        the entire scan and from the corrected ranges and mount.
+        """
         return self.scan.points(self.position, self.attitude)
 
     def surface(self, grid: Grid) -> ScanSurface:
-        """Return the scan averaged over the squares of a grid."""
+        """Return the scan averaged over the squares of a grid, by `average_scan`."""
         return average_scan(self.points(), grid)
 
     def point_jacobian(self, point: Array) -> Array:
-        """Return the Jacobian of a point (3,) with respect to the scan's errors (3, 11)."""
+        """Return the Jacobian of a point (3,) with respect to the scan's errors (3, 11).
+
+        The errors are position (m), small rotation in body axes (rad), range (m), boresight (3,
+        rad) and latency (s).
+        """
         return self.jacobian(np.broadcast_to(point, (3, 3)), np.eye(3))
 
     def jacobian(self, points: Array, vectors: Array) -> Array:
         """Return the Jacobian (n, 11) of points by the scan's errors, along given vectors.
 
-        Row i is the displacement of `points` i by each error, projected on `vectors` i; both are
-        (n, 3). With vectors (-dz/dx, -dz/dy, 1) this is the Jacobian of the terrain height at fixed
-        horizontal positions.
+        The errors are position (m), small rotation in body axes (rad), range (m), boresight (3,
+        rad) and latency (s). Row i is the displacement of `points` i by each error, projected on
+        `vectors` i; both are (n, 3). With vectors (-dz/dx, -dz/dy, 1) this is the Jacobian of the
+        terrain height at fixed horizontal positions.
         """
         rotation = quat_to_matrix(self.attitude)
         return np.asarray(

@@ -130,7 +130,7 @@ class ErrorState(SchmidtKalmanCovariance):
     def value(self, name: str) -> Array:
         """Return the estimate of a named block (group of errors) that started at 0 (k,).
 
-        This is the sum of all corrections of these errors so far.
+        This is the sum of all corrections of these errors so far. The array is not a copy.
         """
         return self._values[name]
 
@@ -141,8 +141,9 @@ class ErrorState(SchmidtKalmanCovariance):
     def inflate(self, columns: ArrayLike, factor: float, max_sigma: ArrayLike) -> None:
         """Multiply the conditional variances of some errors by a factor.
 
-        `columns` (k,) are the indices of the errors, and `max_sigma` (k,) their maximum standard
-        deviations after the inflation. Correlations with the other errors remain valid.
+        The conditional variance is the part that the other errors do not explain. `columns` (k,)
+        are the indices of the errors, and `max_sigma` (k,) their maximum standard deviations after
+        the inflation. Correlations with the other errors remain valid.
         """
         inflate(self.covariance, columns, factor, max_sigma)
 
@@ -150,7 +151,7 @@ class ErrorState(SchmidtKalmanCovariance):
         """Raise the standard deviations of some errors to given minimum values.
 
         `columns` (k,) are the indices of the errors, and `sigma` (k,) the minimum standard
-        deviations.
+        deviations. Larger ones and all correlations with other errors stay unchanged.
         """
         at = np.asarray(columns)
         p = self._current_covariance(at)
@@ -168,7 +169,7 @@ class ErrorState(SchmidtKalmanCovariance):
         """Make the errors of a block equal to other errors, for example those of the pose.
 
         A block is a named group of errors; `source` (k,) are the indices of the errors that are
-        copied into the block `name`.
+        copied into the block `name`. Only the covariance changes, not the estimate of the block.
         """
         p = self._p if int(np.max(source)) < self.head else self.p
         into = self._blocks[name]
@@ -195,7 +196,8 @@ class ErrorState(SchmidtKalmanCovariance):
         """Propagate state and covariance with inertial samples; NaN marks missing ones.
 
         `angle` (n, 3), rad, and `velocity` (n, 3), m/s, are the increments of gyroscopes and
-        accelerometers.
+        accelerometers. Over missing samples, the last rate and specific force are continued with
+        more process noise.
 
         Raises
         ------
@@ -259,7 +261,8 @@ class ErrorState(SchmidtKalmanCovariance):
 
         `jacobian_covariance` (n, size) is the product H P of measurement Jacobian and covariance;
         the update overwrites it. `innovation_covariance` is (n, n). `gate` is the maximum
-        normalised innovation squared; an innovation above it is rejected.
+        normalised innovation squared. If an innovation exceeds it or is not finite, the state does
+        not change.
         """
         outcome, lower = gate_innovation(innovation, innovation_covariance, gate)
         if not outcome.is_accepted:
@@ -294,8 +297,8 @@ class ErrorState(SchmidtKalmanCovariance):
         singular, as while two poses coincide. `nis` of the outcome is the squared Mahalanobis
         distance of the correction. A correction is rejected if `nis` exceeds `gate`, or if its
         chi-squared tail probability is below `min_probability`. Information that is not finite is
-        ignored, and `nis` is NaN. If the covariance is no longer positive definite, it is rejected
-        with an infinite `nis`.
+        ignored, and `nis` is NaN. If rounding errors have made the covariance indefinite, it is
+        rejected with an infinite `nis`.
         """
         k = len(indices)
         if not (np.isfinite(information).all() and np.isfinite(vector).all()):
@@ -321,14 +324,14 @@ class ErrorState(SchmidtKalmanCovariance):
         return UpdateOutcome(distance, degrees, True, white)
 
     def correct(self, error: Array) -> None:
-        """Add estimated errors (size,) to the lander's state and inform the listeners.
+        """Add estimated errors (size,) to lander state and blocks; inform the listeners.
 
         Velocity sensors measure in body axes. They constrain a combination of the velocity error
         and the tilt times the velocity. When the velocity estimate changes, this combination must
-        keep its covariance, so the velocity errors are transformed with the tilt. The result is the
-        covariance of an invariant filter (Barrau and Bonnabel 2017), whose Jacobians do not depend
-        on the estimate. Without this transformation, successive velocity corrections would wrongly
-        reduce the uncertainty of the tilt.
+        keep its covariance, so the velocity errors are transformed with the tilt. The result is
+        the covariance of an invariant filter (Barrau and Bonnabel 2017), whose Jacobians do not
+        depend on the estimate. Without this transformation, successive velocity corrections would
+        wrongly reduce the uncertainty of the tilt.
 
         Raises
         ------

@@ -47,7 +47,10 @@ class Estimate:
     lost: bool = False
 
     def extrapolate(self, seconds: float) -> Estimate:
-        """Return the estimate `seconds` later, for constant velocity and body rate."""
+        """Return the estimate `seconds` later, for constant velocity and body rate.
+
+        The covariance stays unchanged.
+        """
         attitude = self.attitude.copy()
         rotate_quaternion(attitude, self.rate * seconds)
         return replace(
@@ -57,7 +60,7 @@ class Estimate:
 
     @property
     def tilt_sigma(self) -> float:
-        """Larger standard deviation of the tilt about the two horizontal axes, rad."""
+        """Larger of the standard deviations of the tilt about east and north, rad."""
         return float(np.sqrt(max(np.diag(self.covariance)[6:8].max(), 0.0)))
 
 
@@ -139,13 +142,17 @@ class Navigation(ABC):
 
     @abstractmethod
     def estimate(self, time: float, mass: float) -> Estimate:
-        """Return the estimate at `time` (s); `mass` (kg) is that assumed by the computer."""
+        """Return the estimate at `time` (s).
+
+        `mass` (kg) is the mass that the onboard computer assumes; filters that do not estimate the
+        mass return it.
+        """
 
     @property
     def is_drifting(self) -> bool:
         """Whether neither a map nor tracked rocks bound the position error.
 
-        Velocity errors then accumulate until touchdown.
+        Velocity errors then accumulate until touchdown. True unless a filter overrides it.
         """
         return True
 

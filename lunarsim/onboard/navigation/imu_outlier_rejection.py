@@ -51,7 +51,7 @@ class ImuSampleLimits:
 
     @classmethod
     def unknown(cls) -> ImuSampleLimits:
-        """Return the limits for an unknown lander: absolute maxima, no rate of change."""
+        """Return the limits for an unknown lander: absolute maxima, no limit of change."""
         maximum = np.repeat([_MAX_RATE_RAD_S, _MAX_FORCE_M_S2], 3)
         return cls(np.full(6, np.inf), np.zeros(6), maximum)
 
@@ -167,7 +167,10 @@ class ImuOutlierDetector:
         """Find missing and implausible samples in increments of angle and velocity.
 
         `angle` (n, 3), rad, and `velocity` (n, 3), m/s, follow the samples of the last call; NaN
-        marks missing samples.
+        marks missing samples. A sample is rejected if its rate or specific force exceeds the
+        absolute maximum, or differs from that of the last accepted sample by more than dynamics
+        and noise of the lander allow. The third of three samples in a row that agree with each
+        other is accepted as a jump.
         """
         samples = np.hstack((angle, velocity)) / self._step
         with np.errstate(invalid="ignore"):
@@ -220,7 +223,11 @@ class ImuOutlierDetector:
         return True
 
     def _is_confirmed(self, sample: Array) -> bool:
-        """Return whether enough rejected samples in a row agree with a sample (6,)."""
+        """Store an implausible sample (6,); return whether it confirms a jump.
+
+        It does if it is the third in a row of implausible samples, each of which agrees with the
+        one before.
+        """
         agrees = (
             np.abs(sample - self._last_rejected) <= self.limits.max_change + self.limits.max_noise
         )

@@ -211,7 +211,8 @@ class StrapdownState:
     def covariance(self, errors: StartSigmas) -> Array:
         """Return the initial error covariance (15, 15) for given standard deviations.
 
-        Those of the biases follow from the sensor specification.
+        It is diagonal, in the order position, velocity, accelerometer bias, attitude, gyroscope
+        bias. The standard deviations of the biases follow from the sensor specification.
         """
         sigmas = (
             errors.position, errors.velocity, self._bias_sigma[0], errors.attitude,
@@ -249,7 +250,7 @@ class StrapdownState:
 
     @property
     def rate(self) -> Array:
-        """Body rate of the last sample (3,), rad/s."""
+        """Body rate of the last valid sample, without the estimated bias (3,), rad/s."""
         return np.asarray(self._last_sample[:3] - self._x[13:16])
 
     def estimate(self, covariance: Array, time: float, mass: float) -> Estimate:
@@ -317,7 +318,9 @@ class StrapdownState:
     def _add_bias_jump(self, noise: Array, jump: Array, samples: int) -> None:
         """Add a jump of rate and specific force (6,) to the process noise (15, 15).
 
-        `samples` is the number of samples of the propagation in which the jump was confirmed.
+        `noise` is changed in place: the variances of the biases grow by the squared jump, those of
+        attitude and velocity by the square of what the jump integrates to. `samples` is the number
+        of samples of the propagation in which the jump was confirmed.
         """
         seconds = (samples + CONFIRMATION_COUNT) * self.step
         for bias, columns, of in (

@@ -162,7 +162,8 @@ class InnovationMonitor:
     def is_calm(self, time: float) -> bool:
         """Return whether enough recent measurements show no sign of a fault.
 
-        `time` is the current time, s.
+        There must be at least `min_count` measurements in the window, with a rejected fraction and
+        a drift below about half of the alarm thresholds. `time` is the current time, s.
         """
         s = self.settings
         recent = [outcome.is_accepted for at, outcome in self._recent if at >= time - s.window_s]
@@ -174,7 +175,10 @@ class InnovationMonitor:
         )
 
     def _drift_levels(self) -> Array:
-        """Return the absolute mean of each whitened component, in standard deviations."""
+        """Return the absolute mean of each whitened component, in standard deviations.
+
+        Components with too few recent measurements are omitted; the result is empty without any.
+        """
         if self._mean is None:
             return np.zeros(0)
         is_frequent = self._weight >= self.settings.min_count
@@ -217,7 +221,9 @@ class InnovationMonitor:
     def _has_drift(self, time: float, outcome: UpdateOutcome) -> bool:
         """Return whether the fading mean of whitened innovations exceeds the threshold.
 
-        `outcome` is the outcome of an update at `time` (s), which is first added to the mean.
+        `outcome` is the outcome of an update at `time` (s), which is first added to the mean. The
+        result is False for a rejected outcome or if the drift test is disabled. After a drift, the
+        mean starts again.
         """
         s = self.settings
         if s.drift_time_scale_s is None or not outcome.is_accepted:
@@ -258,6 +264,9 @@ class RockCorrection(Enum):
 
 class ImageInnovationMonitor:
     """Monitor of whether rock observations in camera images agree with the estimate.
+
+    Rock positions, the detected fraction of expected rocks and the shadow direction are monitored
+    separately.
 
     Parameters
     ----------

@@ -142,9 +142,9 @@ class LocalFrame:
     def anchor(self, jacobian: Array, columns: IntArray, other_positions: list[slice]) -> None:
         """Anchor the local frame to a terrain point instead of the initial position.
 
-        A correction of the attitude then leaves the mapped terrain near this point in place, and
-        moves the lander. The operation adds no information: it only changes the reference point of
-        the errors.
+        The covariance of the state is transformed; the estimates do not change. A correction of
+        the attitude then leaves the mapped terrain near this point in place, and moves the lander.
+        The operation adds no information: it only changes the reference point of the errors.
 
         Parameters
         ----------
@@ -168,10 +168,11 @@ class LocalFrame:
 def _move_initial_errors(state: ErrorState, columns: IntArray) -> None:
     """Move initial errors of position and azimuth from the lander to the map offset.
 
-    `columns` (4,) are the indices of the map offset in the error state. The initial errors z =
-    (position, velocity, body rotation, ...) refer to the site frame. The local frame is rotated by
-    the azimuth error. In the local frame, the position has no error, the attitude error is the
-    tilt, and the velocity error includes the effect of the rotation.
+    The covariance of `state` is transformed in place. `columns` (4,) are the indices of the map
+    offset in the error state. The initial errors z = (position, velocity, body rotation, ...)
+    refer to the site frame. The local frame is rotated by the azimuth error. In the local frame,
+    the position has no error, the attitude error is the tilt, and the velocity error includes the
+    effect of the rotation.
     """
     own: StrapdownState = state.inertial
     p = state.covariance

@@ -190,15 +190,24 @@ class MapFeatures:
 
     @property
     def variance(self) -> float:
-        """Variance of the height residual at a grid point that is evenly scanned, m^2."""
+        """Variance of the height of a scan minus the map at a grid point, m^2.
+
+        It contains the noise of the map and the model error for a scan that covers the cell of the
+        grid point evenly.
+        """
         return self.prior.sigma**2 + MODEL_SIGMA_M**2
 
-    def likelihood(self, tile: FeatureTile, row: IntArray, col: IntArray) -> tuple[Array, Array]:
-        """Return log-likelihood ratios and covered fractions of a tile at places.
+    def log_likelihood_ratios(
+        self, tile: FeatureTile, row: IntArray, col: IntArray
+    ) -> tuple[Array, Array]:
+        """Return log-likelihood ratios and covered fractions of a tile at n places.
 
-        A tile is a patch of scanned terrain. Both results are (n,). `row` and `col` (n,) are those
-        of the map grid point below the first grid point of the tile. The covered fraction is that
-        of the tile's points with a known map height.
+        A tile is a patch of scanned terrain. The ratio compares the map heights below the tile,
+        given the tile, with their density over the entire map: it is positive where the tile fits
+        better than terrain from anywhere. Both results are (n,). `row` and `col` (n,) are those of
+        the map grid point below the first grid point of the tile. The covered fraction is that of
+        the tile's points with a known map height. Both results are 0 for a tile without points to
+        compare.
         """
         total = float(tile.weight.sum())
         if total == 0.0 or len(row) == 0:
@@ -225,11 +234,12 @@ class MapFeatures:
     def mean_log_ratio(self, tile: FeatureTile) -> float | None:
         """Return the log of a tile's likelihood ratio averaged over the entire map.
 
-        A tile is a patch of scanned terrain. The result is None if no place covers more than half
-        of the tile.
+        A tile is a patch of scanned terrain. The average is over a sample of places with more than
+        half of the tile on known heights, scaled to the complete tile; None if there is no such
+        place.
         """
         middle = np.array(tile.height.shape) // 2
-        ratio, share = self.likelihood(
+        ratio, share = self.log_likelihood_ratios(
             tile, self._places[0] - middle[0], self._places[1] - middle[1]
         )
         if not (share > 0.5).any():
@@ -260,7 +270,7 @@ class MapFeatures:
         Parameters
         ----------
         ratio, covered_fraction
-            Log-likelihood ratios and covered fractions (n,), from `likelihood`.
+            Log-likelihood ratios and covered fractions (n,), from `log_likelihood_ratios`.
         mean_log_ratio
             Logarithm of the mean likelihood ratio, from `mean_log_ratio`.
         place_count
@@ -298,7 +308,7 @@ class LockForecast:
 
     @property
     def can_lock(self) -> bool:
-        """Whether the expected likelihood ratio suffices to locate the scans."""
+        """Whether the expected log-likelihood ratio is at least the needed one."""
         return self.expected >= self.needed
 
     def __str__(self) -> str:

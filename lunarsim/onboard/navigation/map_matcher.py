@@ -99,7 +99,11 @@ class MapMatcher:
 
     @property
     def prior(self) -> PriorMap:
-        """Prior map, site frame; setting another map resets the search and the use counts."""
+        """Prior map in the site frame.
+
+        Setting another map restarts the search for the place of the scans, and forgets how often
+        each grid point has been used.
+        """
         return self._features.prior
 
     @prior.setter
@@ -123,8 +127,11 @@ class MapMatcher:
     def take(self, sensor: str, measurement: Any, time: float, *, used: bool) -> bool:
         """Locate or register a scan on the map; return whether it agrees with the map.
 
-        Nothing is done with a scan that an earlier processor has `used`, or with other measurement
-        types. `time` is in s.
+        Without a lock, the scan is added to the search for the place; once the place is certain,
+        it is registered at this place. The lock is given up if no scan agrees for 2 s; scans that
+        cover too few grid points count as agreeing while the position is certain enough. Nothing
+        is done with a scan that an earlier processor has `used`, or with other measurement types;
+        the result is then False. `time` is in s.
         """
         if used or not isinstance(measurement, LidarScan):
             return False
@@ -150,7 +157,9 @@ class MapMatcher:
     def _register(self, sensor: str, scan: LidarScan, time: float) -> bool:
         """Update the filter by registering a scan on the map; return whether accepted.
 
-        Without a lock, a scan is registered only if the position is certain enough.
+        Without a lock, a scan is registered only if the map was located before and the position is
+        certain enough. Small scans are accumulated until they cover enough grid points; until then
+        the result is False.
         """
         is_certain = self.found and self.position_sigma < self.prior.grid.posting
         if not self.locked and not is_certain:
@@ -187,12 +196,13 @@ class MapMatcher:
         return True
 
     def _check_other_place(self, sensor: str, corrected: CorrectedScan, time: float) -> None:
-        """Monitor a scan that agrees with the map only at another place.
+        """Check whether a scan that does not fit agrees with the map at another place.
 
-        A scan that fits nowhere has met changed terrain, and gives no further information. A scan
-        that fits well, but farther away than the errors allow, contradicts the state. Since the
-        lander cannot jump between scans, only the variances of the scanner's errors are raised, to
-        cover the offset. If the scanner's errors do not explain the offset, navigation is lost.
+        If it fits nowhere, the terrain has changed, and nothing is done. A scan that fits well,
+        but farther away than the errors allow, contradicts the state. Since the lander cannot jump
+        between scans, only the variances of the scanner's errors are raised, to cover the offset.
+        If the scanner's errors do not explain the offset in later scans either, the monitor
+        declares navigation lost.
         """
         columns, jacobian = self._site_jacobian(sensor)
         own = self.context.state.covariance_of(columns)
@@ -220,9 +230,10 @@ class MapMatcher:
         )
 
     def _monitor(self, sensor: str, outcome: UpdateOutcome, time: float) -> MonitorResult:
-        """Monitor whether scans fit the map at the estimated place; return the result.
+        """Record whether a scan fits the map at the estimated place; return the result.
 
-        `outcome` is the outcome of a registration at `time` (s).
+        `outcome` is the outcome of a registration at `time` (s). After a drift or an alarm, the
+        variances of the scanner's errors are increased.
         """
         scanner = self.context.scanner_indices(sensor)
         return self.context.aiding.record_outcome(
@@ -260,7 +271,9 @@ class MapMatcher:
     def _use_variance(self, prior: PriorMap, uses: NDArray[np.int32]) -> Array:
         """Return the residual variance of map grid points after earlier uses, m^2.
 
-        `uses` is the number of earlier uses of each grid point.
+        For the k-th use of a grid point, it is k (k + 1) times the variance of the map, plus that
+        of the comparison; so all uses together count as one. `uses` is the number of earlier uses
+        of each grid point, k - 1.
         """
         own = prior.sigma**2 * (uses + 1.0) * (uses + 2.0)
         return np.asarray(own + MODEL_SIGMA_M**2)
@@ -272,7 +285,11 @@ class MapMatcher:
         self._alignment = None
 
     def _align(self) -> _MapAlignment:
-        """Return the transformation used by the search; restart after a large rotation."""
+        """Return the transformation used by the search, from the local frame to the map.
+
+        It is fixed at the start of a search. If the local frame has rotated by more than 0.01 rad
+        since, the search is restarted with the current transformation.
+        """
         frame = self.frame
         if (
             self._alignment is not None
@@ -288,7 +305,9 @@ class MapMatcher:
     def _search(self, sensor: str, scan: LidarScan, time: float) -> bool:
         """Search the map for the scanned terrain; return whether the place was found.
 
-        If it was found, the filter is updated. `time` is in s.
+        The scan is added to the searched terrain; a search is made at most every 0.5 s. If the
+        place was found, the filter is updated. If it is not yet certain, only the height may be
+        updated, and the result is False. `time` is in s.
         """
         frame = self.frame
         corrected, alignment = self.context.correct_scan(sensor, scan), self._align()
@@ -330,7 +349,8 @@ class MapMatcher:
 
         `height_jacobian` (11,) is the Jacobian of the height with respect to the scan's errors;
         `prior_shift`, m, and `prior_variance`, m^2, are mean and variance of the vertical shift
-        before.
+        before the search. Nothing is done if the search reduces its standard deviation by less
+        than a factor of 3.
         """
         # The height offset of the map is common to all searches: use it only once.
         variance = match.vertical_shift_variance + _HEIGHT_SIGMA_M**2

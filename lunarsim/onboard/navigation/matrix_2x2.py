@@ -8,7 +8,10 @@ from lunarsim.typing import Array, BoolArray
 
 
 def invert_2x2(a: Array) -> Array:
-    """Return the inverses of matrices (n, 2, 2)."""
+    """Return the inverses (n, 2, 2) of matrices (n, 2, 2).
+
+    Singular matrices give elements that are not finite.
+    """
     out = np.empty_like(a)
     out[:, 0, 0], out[:, 1, 1] = a[:, 1, 1], a[:, 0, 0]
     out[:, 0, 1], out[:, 1, 0] = -a[:, 0, 1], -a[:, 1, 0]
@@ -23,7 +26,10 @@ def largest_eigenvalue_2x2(a: Array) -> Array:
 
 
 def squared_mahalanobis_2x2(offset: Array, a: Array) -> Array:
-    """Return squared Mahalanobis norms (n,) of offsets for covariances (n, 2, 2)."""
+    """Return squared Mahalanobis norms (n,) of offsets for covariances (n, 2, 2).
+
+    `offset` (n, 2) are the offsets, and `a` (n, 2, 2) the covariances.
+    """
     x, y = offset.T
     determinant = a[:, 0, 0] * a[:, 1, 1] - a[:, 0, 1] * a[:, 1, 0]
     square = a[:, 1, 1] * x * x - (a[:, 0, 1] + a[:, 1, 0]) * x * y + a[:, 0, 0] * y * y

@@ -81,7 +81,8 @@ class MeasurementSequencer:
     def admit(self, sensor: str, measurement: Any, time: float) -> Any:
         """Return a measurement if its time stamp is valid, else None.
 
-        Inertial samples are returned without gaps: NaN samples are inserted.
+        Inertial samples are returned complete: missing ones are inserted as NaN, surplus ones
+        are dropped.
 
         Parameters
         ----------
@@ -182,9 +183,12 @@ class MeasurementSequencer:
     def _fill_gaps(
         self, sensor: str, samples: InertialSamples, elapsed: float, time: float
     ) -> InertialSamples:
-        """Return inertial samples with gaps filled by NaN, or without surplus samples.
+        """Fit inertial samples to the elapsed time: insert NaN samples or drop surplus.
 
-        `elapsed` (s) is the time that the samples should cover; `time` (s) is the current time.
+        `elapsed` (s) is the time that the samples should cover. Missing samples, at most 60 s of
+        them, are inserted as NaN before the given ones; of too many samples, the oldest are
+        dropped. Each case is reported with `sensor` and the current `time` (s). If `elapsed` is
+        not finite, the samples are returned unchanged.
         """
         if not np.isfinite(elapsed):
             return samples  # the start of the samples is unknown before the first ones
@@ -207,6 +211,9 @@ class MeasurementSequencer:
 
 
 def _check_samples(samples: InertialSamples) -> InertialSamples:
-    """Return inertial samples as two float arrays (n, 3) after checking the shapes."""
+    """Return inertial samples as two float arrays (n, 3) after checking the shapes.
+
+    A wrong shape raises an `InputError`.
+    """
     angle, velocity = checked_increments(samples.angle, samples.velocity)
     return replace(samples, angle=angle, velocity=velocity)

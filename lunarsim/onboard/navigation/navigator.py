@@ -168,7 +168,11 @@ class Navigator(Navigation):
         return not self.locked and (self.rocks is None or self.rocks.count == 0)
 
     def estimate(self, time: float, mass: float) -> Estimate:
-        """Return the lander's state at `time` (s) in the local frame, with mass (kg)."""
+        """Return the lander's state at `time` (s) in the local frame, with mass (kg).
+
+        The covariance is that of the state in the site frame. The state is not propagated to
+        `time`.
+        """
         local = self.inertial.estimate(self.state.covariance_of(np.arange(INERTIAL)), time, mass)
         # The error state has attitude errors in body axes, `Estimate` has them in ENU.
         turn = np.eye(9)
@@ -215,7 +219,10 @@ class Navigator(Navigation):
             self._offer_to_processors(sensor, measurement, time)
 
     def _check_noise(self, sensor: str, scan: LidarScan, time: float) -> bool:
-        """Return whether a scan is too noisy; record an event when this begins or ends."""
+        """Return whether a scan is too noisy; record an event when this begins or ends.
+
+        The events are "scans-rejected" and "scans-accepted", per `sensor`.
+        """
         noisy = is_noisy(scan)
         if noisy != (sensor in self._noisy):
             (self._noisy.add if noisy else self._noisy.discard)(sensor)
@@ -259,7 +266,10 @@ class Navigator(Navigation):
         return self._map_rotation
 
     def _rotate_map(self, error: Array) -> None:
-        """Add the tilt part of a correction (size,) to the rotation of the mapped terrain."""
+        """Add the tilt part of a correction (size,) to the rotation of the mapped terrain.
+
+        Nothing is done before the first scan.
+        """
         if self._map_rotation is None:
             return
         tilt = quat_to_matrix(self.inertial.attitude) @ error[ATTITUDE] * [1.0, 1.0, 0.0]

@@ -141,7 +141,10 @@ class PlaceSearch:
         return self._unit
 
     def add(self, points: Array) -> None:
-        """Add the points of a scan (n, 3), local frame, m; NaN marks missing points."""
+        """Add the points of a scan to the scanned terrain that is searched for on the map.
+
+        The points are (n, 3), local frame, m; NaN marks missing points.
+        """
         self._submap.add(points)
 
     # --- search ---------------------------------------------------------------------------
@@ -251,7 +254,8 @@ class PlaceSearch:
     def _complete_tiles(self, time: float) -> list[_SampledTile]:
         """Return the tiles that became complete or stopped growing since the last call.
 
-        `time` is the current time, s.
+        A tile is complete with 95 % of its grid points; with 25 % it counts after 1 s without new
+        ones. Each tile is returned once. `time` is the current time, s.
         """
         height, known = self._submap.block_means()
         if not known.any():
@@ -319,9 +323,9 @@ class PlaceSearch:
     def _apply_tile(self, tile: _SampledTile, prior_distance: Array, mean_log_ratio: float) -> None:
         """Multiply the posterior of the places by the likelihood of a tile.
 
-        `prior_distance` (rows, cols) is half the squared Mahalanobis distance of each place from
-        the prior mean. `mean_log_ratio` is the logarithm of the mean likelihood ratio of the tile
-        over the map.
+        Places that are far less probable than the best one stay unchanged. `prior_distance` (rows,
+        cols) is half the squared Mahalanobis distance of each place from the prior mean.
+        `mean_log_ratio` is the logarithm of the mean likelihood ratio of the tile over the map.
         """
         log = self._log - prior_distance
         row, col = np.nonzero(log >= log.max() - _MAX_LOG_DEFICIT)
@@ -333,7 +337,7 @@ class PlaceSearch:
                 selected = np.flatnonzero(
                     ((north + a) % offset_count == 0) & ((east + b) % offset_count == 0)
                 )
-                ratio[selected], covered_fraction[selected] = self.features.likelihood(
+                ratio[selected], covered_fraction[selected] = self.features.log_likelihood_ratios(
                     tile.every_second(a, b),
                     (north[selected] + a) // offset_count + tile.first[0] // 2,
                     (east[selected] + b) // offset_count + tile.first[1] // 2,
@@ -391,11 +395,12 @@ class PlaceSearch:
     def _map_points_below(
         self, tile: _SampledTile, row: IntArray, col: IntArray
     ) -> tuple[tuple[slice, slice], IntArray, IntArray]:
-        """Return the map grid points that lie below a tile at given places.
+        """Return the map grid points that lie below a tile at n given places.
 
-        `row` and `col` (n,) are the places. The results are the slices of the tile's samples that
-        lie on grid points, and the rows (n, r) and columns (n, c) of these points. All places must
-        lie at the same offset from the grid points of the map, in half grid spacings.
+        `row` and `col` (n,) are the places, as indices into the array of places. The results are
+        the slices of the tile's samples that lie on grid points, and the rows (n, r) and columns
+        (n, c) of these points. All places must lie at the same offset from the grid points of the
+        map, in half grid spacings.
         """
         north, east = row + self._origin[0], col + self._origin[1]
         ways = self._offsets
@@ -408,8 +413,9 @@ class PlaceSearch:
     def _agreement(self, row: int, col: int) -> tuple[float, float | None, float]:
         """Return fraction of agreeing points, height difference and its variance.
 
-        They refer to the place `row`, `col`. The height difference is map minus scan, m, from the
-        last six tiles; None without agreeing points.
+        They refer to the place with the indices `row`, `col`. The height difference is the median
+        of map minus scan, m, over the agreeing points of the last six tiles; None without agreeing
+        points. The fraction is that of all compared points.
         """
         agreed, compared, rises = 0, 0, []
         for n, tile in enumerate(reversed(self._tiles)):
@@ -438,7 +444,8 @@ class PlaceSearch:
     def _vertical_shift(self, p: Array) -> tuple[float, float]:
         """Return mean and variance of the vertical shift over all places, m and m^2.
 
-        `p` (rows, cols) is the probability of each place.
+        `p` (rows, cols) is the probability of each place. The shift is map minus scan for the
+        latest tile. If the map is unknown there, the results are 0 and infinite.
         """
         # Use only the places at one of the four offsets, and thin them for speed.
         every = self._offsets * max(
@@ -504,8 +511,8 @@ def _values_at(
 ) -> Array:
     """Return the values of a raster at given rows and columns; NaN outside.
 
-    The result is (r, c) for rows (r,) and columns (c,). With `paired`, each row belongs to one
-    column, and the result has the shape of `row`.
+    The result is (r, c) for rows (r,) and columns (c,). With `paired`, rows and columns have the
+    same shape, each pair is one grid point, and the result has this shape.
     """
     if not paired:
         row, col = np.broadcast_arrays(row[:, None], col[None, :])

@@ -68,10 +68,12 @@ def find_initial_shift(
     x, y = posting * across, posting * along
     inverse = np.linalg.inv(covariance)
     log = -0.5 * (inverse[0, 0] * x**2 + 2.0 * inverse[0, 1] * x * y + inverse[1, 1] * y**2)
-    for row, col, tile in _tiles(surface, features):
+    for row, col, tile in _divide_into_tiles(surface, features):
         mean_log_ratio = features.mean_log_ratio(tile)
         if mean_log_ratio is not None:
-            likelihood = features.likelihood(tile, row + along.ravel(), col + across.ravel())
+            likelihood = features.log_likelihood_ratios(
+                tile, row + along.ravel(), col + across.ravel()
+            )
             log += features.log_factor(*likelihood, mean_log_ratio, log.size).reshape(log.shape)
     p = np.exp(log - log.max())
     p /= p.sum()
@@ -84,11 +86,14 @@ def find_initial_shift(
     )
 
 
-def _tiles(surface: ScanSurface, features: MapFeatures) -> list[tuple[int, int, FeatureTile]]:
+def _divide_into_tiles(
+    surface: ScanSurface, features: MapFeatures
+) -> list[tuple[int, int, FeatureTile]]:
     """Divide a scan into tiles for the comparison with a map.
 
-    Each tile is returned after the row and column of its first cell on the map grid. The result is
-    empty for a scan that is too large.
+    Each element of the list is a tile and its place: row and column of the tile's first cell on
+    the map grid, and the tile. The list is empty if the scan is larger than 600 grid points along
+    a side.
     """
     first = (int(surface.row.min()), int(surface.col.min()))
     shape = (int(surface.row.max()) - first[0] + 1, int(surface.col.max()) - first[1] + 1)
@@ -162,20 +167,22 @@ def fit_residuals(
     *,
     outlier_variance: Array | None = None,
 ) -> MapFit:
-    """Estimate errors from height residuals by least squares without outliers.
+    """Return the information on errors in height residuals without outliers.
+
+    The result does not contain the prior; `solve_error` combines both to the estimate.
 
     Parameters
     ----------
     jacobian, residual, variance
         Jacobian, residuals and variances of n scalar measurements (n, d), (n,), (n,).
     prior
-        Prior covariance of the errors (d, d).
+        Prior covariance of the errors (d, d), used only to find outliers.
     gate
         Maximum residual after the fit, in standard deviations; larger ones are outliers.
     outlier_variance
-        Variances for the outlier test (n,); default: `variance`. `variance` can be larger because a
-        measurement was used before. If the test used it, changed terrain would pass after repeated
-        views.
+        Variances for the outlier test (n,); default: `variance`. If `variance` is increased for
+        measurements that were used before, these are the variances without the increase; otherwise
+        the test would accept changed terrain.
     """
     d = jacobian.shape[1]
     if len(residual) == 0:
@@ -207,7 +214,10 @@ def fit_residuals(
 
 
 def _is_on_map(surface: ScanSurface, prior: PriorMap) -> BoolArray:
-    """Return which squares of a scan lie on known grid points of a map (n,)."""
+    """Return which grid squares of a scan have a known height on a map (n,).
+
+    Squares outside the map have none.
+    """
     g, row, col = prior.grid, surface.row, surface.col
     inside = (col >= 0) & (col < g.cols) & (row >= 0) & (row < g.rows)
     inside[inside] = np.isfinite(prior.elevation[row[inside], col[inside]])
@@ -224,8 +234,11 @@ def register_scan(
 ) -> tuple[MapFit, tuple[IntArray, IntArray]]:
     """Register a scan on a prior map by Gauss-Newton least squares.
 
-    The scan is averaged again after each correction, until the terrain moves by less than 1/20 of
-    the grid spacing. The result refers to the scan as given.
+    If the position of the scan is uncertain, the fit starts at its most probable horizontal shift;
+    if several shifts are plausible, only heights are fitted. After each correction, the moved scan
+    is averaged over the map grid again, until the terrain moves by less than 1/20 of the grid
+    spacing. The information is reduced by the correlation of the residuals. It refers to the
+    errors of `corrected`, not of the moved scan. If no grid point agrees, `used` of the fit is 0.
 
     Parameters
     ----------
@@ -354,7 +367,11 @@ def _initial_error(
 
 
 def is_good_fit(fit: MapFit) -> bool:
-    """Return whether enough grid squares agree in a fit, with small residuals."""
+    """Return whether enough grid squares agree in a fit, with small residuals.
+
+    At least 12 squares and 70 % of the compared ones must agree, and the mean square of their
+    residuals must be at most 1.6 times the variance.
+    """
     return (
         fit.used >= MIN_SQUARES
         and fit.agreeing_fraction >= MIN_AGREEING_FRACTION

@@ -48,7 +48,7 @@ _MIN_RANGE_M = 0.1
 # Maximum number of iterations for the intersection of a line of sight with sloping terrain, and the
 # height change at which they stop, m.
 _MAX_ITERATIONS, _HEIGHT_TOLERANCE_M = 8, 0.01
-# Limits of the height step, as a factor on the height difference at the last iterate.
+# Limits of the decrease of the height difference per metre of step, by which a step is divided.
 _STEP_LIMITS = (0.2, 3.0)
 # Margin around a region for points found on horizontal terrain, m, and maximum slope (tangent) of
 # the terrain from the centre of the region.
@@ -158,7 +158,9 @@ class RockFilter(RockStates):
         """Return the intersections (n, 3), m, of lines from one point with the terrain.
 
         `origin` (3,) is the point, `per_drop` (n, 2) the advance of the lines, east and north, per
-        metre of drop, and `height` (n,) the initial heights of the iteration, m.
+        metre of drop, and `height` (n,) the initial heights of the iteration, m. Without
+        convergence, the iterate closest to the terrain is returned; heights are NaN where the
+        terrain is unknown.
         """
         if self.measured_terrain is None and self.can_interpolate_height:
             # The compiled version of the same iteration.
@@ -320,7 +322,8 @@ class RockFilter(RockStates):
     ) -> UpdateOutcome:
         """Update lander and rock positions with valid pixels; return the outcome.
 
-        The parameters are those of `update_rocks`.
+        `index` (m,), `pixel` (m, 2) and `pixel_covariance` (m, 2, 2) are the valid observations;
+        the other parameters are those of `update_rocks`.
         """
         m = len(index)
         a, b = predicted.jacobian_by_pose[index], predicted.jacobian_by_rock[index]
@@ -342,11 +345,13 @@ class RockFilter(RockStates):
         self, sun: Array, along_sigma: float, across_sigma: float, common_sigma: float, *,
         scale_sigma: float = 0.0, pixel_size: float = 0.0,
     ) -> None:  # fmt: skip
-        """Add process noise to rock positions when the view rotates or comes closer.
+        """Add process noise to rock positions after a change of view, range or pixel size.
 
         The offset between a shadow patch and its rock depends on the viewpoint. The error of the
         shadow model has an individual part and a common part; the common part lies along the Sun
         direction. A camera with another pixel size resolves the rocks as if from another range.
+        Noise is added once the median line of sight has rotated by 0.02 rad, or range or pixel
+        size have changed by 2 %; smaller changes add up until then.
 
         Parameters
         ----------
@@ -412,8 +417,9 @@ class RockFilter(RockStates):
     def monitor_image(self, kind: str, time: float, outcome: UpdateOutcome) -> RockCorrection:
         """Monitor the outcome of an image update; inflate the covariance after an alarm.
 
-        `kind` is the monitored quantity: "places", "expected" or "shadows". `time` is in s. The
-        caller must reset the rocks if the returned action is `RockCorrection.RESET`.
+        `kind` is the monitored quantity: "places", "expected" or "shadows"; an alarm of "shadows"
+        inflates nothing. `time` is in s. The caller must reset the rocks if the returned action is
+        `RockCorrection.RESET`.
         """
         remedy = self.image_monitor.record(kind, time, outcome)
         if remedy is not RockCorrection.NONE and kind != "shadows":
@@ -453,6 +459,11 @@ class RockFilter(RockStates):
         -------
         index
             Indices of the new rocks (b,).
+
+        Raises
+        ------
+        InputError
+            If a point is not in front of the camera; nothing is changed then.
         """
         jacobians = self._position_jacobians(camera, points, pixel_covariance)
         index = self.append(points, radius, radius_variance)
@@ -496,8 +507,8 @@ class RockFilter(RockStates):
 
         The horizontal positions at `points` (b, 3), m, follow from ``by_pose d(pose) + by_rock
         d(rock) = d(pixel)``. The results are the Jacobian with respect to the pose (b, 2, 6), that
-        with respect to the rock's height (b, 2), and the covariance from the pixel noise (b, 2, 2),
-        m^2.
+        with respect to the rock's height (b, 2), and the covariance from the pixel noise (b, 2,
+        2), m^2. An `InputError` is raised for a point without a line of sight.
         """
         sight = self.project_rocks(camera, points)
         back = invert_2x2(sight.jacobian_by_rock[:, :, :2])

@@ -23,9 +23,10 @@ class RockProjection:
     depth
         Distance along the boresight (n,), m; not positive behind the camera.
     jacobian_by_pose
-        Derivatives with respect to position and attitude error (n, 2, 6).
+        Derivatives with respect to the errors of the lander's position and attitude (n, 2, 6),
+        pixels/m and pixels/rad; the attitude error is a small rotation in body axes.
     jacobian_by_rock
-        Derivatives with respect to the rock's east, north and height (n, 2, 3).
+        Derivatives with respect to the rock's east, north and height (n, 2, 3), pixels/m.
     """
 
     pixel: Array

@@ -57,7 +57,7 @@ class RockStates:
     count
         Number of rocks.
     first
-        IntArray of the first rock's east coordinate in the error state.
+        Index of the first rock's east coordinate in the error state.
     measured_terrain
         Source of measured terrain heights; None: heights are interpolated between the rocks.
     """
@@ -86,10 +86,10 @@ class RockStates:
         self.xyz[:] += error[self.first :].reshape(-1, ROCK_DIM)
 
     def freeze(self, rocks: BoolArray) -> None:
-        """Stop correcting the marked rocks (n,) by measurements, until the next call.
+        """Stop correcting the marked rocks by measurements, until the next call.
 
-        New rocks are not frozen. Correlations between frozen and other errors are still updated, so
-        the covariance remains correct.
+        `rocks` (n,) marks the frozen rocks. New rocks are not frozen. Correlations between frozen
+        and other errors are still updated, so the covariance remains correct.
         """
         self._frozen[: self.count] = rocks
         self._update_frozen()
@@ -144,9 +144,10 @@ class RockStates:
         return np.asarray(own + p[:ROCK_DIM, :ROCK_DIM] - cross - np.swapaxes(cross, 1, 2))
 
     def height_difference_variance(self, neighbours: IntArray) -> Array:
-        """Return the variance of height differences between rocks and others (n, k), m^2.
+        """Return the variance of the height difference between rocks (n, k), m^2.
 
-        `neighbours` (n, k) are the indices of the other rocks of each rock.
+        The differences are those of each of the n rocks to k others, whose indices are
+        `neighbours` (n, k).
         """
         p, height = self.state.covariance_for_rows(), self.state_indices()[:, 2]
         own = p[height, height]
@@ -177,7 +178,7 @@ class RockStates:
         return [(name, at) for name, at in parts if self.state.has(name)]
 
     def terrain_height_at(self, xy: ArrayLike) -> Array:
-        """Return the estimated terrain height at points (b, 2), m: (b,), m.
+        """Return the estimated terrain height (b,), m, at points `xy` (b, 2), m.
 
         If another sensor has measured the terrain, its heights are used, shifted by the median
         offset of the rocks. Elsewhere, heights are interpolated between the rocks.
@@ -194,8 +195,9 @@ class RockStates:
     def _median_offset(self, measured: TerrainHeights) -> float:
         """Return the median height of the rocks above the measured terrain, m.
 
-        The heights of the lander and its rocks drift in the local frame by decimetres, while the
-        measured terrain is fixed, so only its shape is used.
+        With fewer than five rocks on measured terrain it is 0. The heights of the lander and its
+        rocks drift in the local frame by decimetres, while the measured terrain is fixed, so only
+        its shape is used.
         """
         if self.count < _MIN_ROCKS:
             return 0.0
@@ -209,7 +211,10 @@ class RockStates:
         return self.count > 0 and self.state.has(TERRAIN)
 
     def _interpolate_height(self, xy: Array) -> Array:
-        """Interpolate the terrain height (b,), m, at points `xy` (b, 2), m, between rocks."""
+        """Interpolate the terrain height (b,), m, at points `xy` (b, 2), m, between rocks.
+
+        Without rocks, or on terrain modelled as horizontal, it is the height below the lander.
+        """
         if not self.can_interpolate_height:
             return np.full(len(xy), self.terrain_height_below)
         return interpolate_heights(*self._known_heights(), xy, self._terrain_prior.growth)
@@ -232,7 +237,8 @@ class RockStates:
         """Update the radii of observed rocks by independent scalar Kalman filters.
 
         `index` (n,) are the rocks; `radius` and `radius_variance` (n,) are the measured radii, m,
-        and their variances, m^2. `min_variance_ratio` is the minimum variance after the update
+        and their variances, m^2. A radius that is not finite, or whose variance is not positive
+        and finite, is ignored. `min_variance_ratio` is the minimum variance after the update
         relative to that of the observation.
         """
         radius_variance = np.broadcast_to(radius_variance, np.shape(radius))
@@ -282,7 +288,8 @@ class RockStates:
 
         The error also has an independent part. `rock` is the index of the rock; its neighbours are
         rocks that were added before, and the terrain below the lander. If the terrain at the rock
-        was measured by another sensor, only neighbours on measured terrain are used.
+        was measured by another sensor, only neighbours on measured terrain are used. Nothing is
+        done on terrain modelled as horizontal.
         """
         if not self.state.has(TERRAIN):
             return
@@ -303,8 +310,8 @@ class RockStates:
     def _correlate_with_measured(self, rock: int, others: IntArray) -> None:
         """Model a rock's height error as a mean over neighbours on measured terrain.
 
-        `others` (k,) are the indices of all rocks on measured terrain. Without neighbours, the
-        error depends on the lander's pose, from which the terrain was measured.
+        `others` (k,) are the indices of all rocks on measured terrain that were added before.
+        Without any, the error depends on the lander's pose, from which the terrain was measured.
         """
         neighbours = self._nearest(rock, others)
         if len(neighbours):
@@ -324,7 +331,11 @@ class RockStates:
         )
 
     def _nearest(self, rock: int, others: IntArray) -> IntArray:
-        """Return the nearest neighbours of a rock among the rocks `others` (k,)."""
+        """Return the five nearest rocks to a rock among `others` (k,), nearest first.
+
+        `rock` and the elements of `others` and of the result are indices of rocks; all are
+        returned if there are fewer than five.
+        """
         distance = np.hypot(*(self._xyz[others, :2] - self._xyz[rock, :2]).T)
         if len(distance) > NEIGHBOUR_COUNT:
             # Keep all at the same distance as the last one: the stable sort takes the first ones.
@@ -337,7 +348,8 @@ class RockStates:
     def correct_heights_by_terrain(self) -> UpdateOutcome:
         """Update rock heights with terrain heights measured by another sensor.
 
-        The outcome has no degrees of freedom if there are no rocks or no measured terrain.
+        Nothing is done, and the outcome has no degrees of freedom, if there are no rocks, no
+        measured terrain, or terrain modelled as horizontal.
         """
         if self.measured_terrain is None or not self.state.has(TERRAIN) or self.count == 0:
             return UpdateOutcome(0.0, 0, False)

@@ -29,7 +29,9 @@ _SIGMA_PER_MEDIAN = 1.4826
 def remove_spikes(scan: LidarScan) -> LidarScan:
     """Return a scan without ranges that differ strongly from neighbouring pixels.
 
-    Removed ranges are NaN.
+    A range is removed (NaN) if it is larger than three of its four neighbours, or smaller than
+    three of them, by more than 1 m plus 6 standard deviations. Scans with fewer than three rows or
+    columns are returned unchanged.
 
     Raises
     ------
@@ -69,8 +71,9 @@ def range_noise(scan: LidarScan) -> float:
 def is_noisy(scan: LidarScan) -> bool:
     """Return whether a scan's range noise is too large for registration.
 
-    This is the case if the noise exceeds the scanner's specification, or if the specified noise is
-    too large.
+    This is the case if the noise exceeds 3 times the scanner's specification plus 0.25 m (for
+    rough terrain), or if the specified noise exceeds 0.15 m. The result is False for a scan
+    without ranges.
     """
     specified = scan.sigma[np.isfinite(scan.range) & np.isfinite(scan.sigma)]
     if len(specified) == 0:
@@ -82,7 +85,10 @@ def is_noisy(scan: LidarScan) -> bool:
 
 
 def _range_image(scan: LidarScan) -> Array:
-    """Return the ranges as an image (rows, cols)."""
+    """Return the ranges of a scan as an image (rows, cols), m.
+
+    An `InputError` is raised if the scan does not have rows times cols ranges.
+    """
     if int(np.prod(scan.shape)) != np.size(scan.range):
         raise InputError(
             "scan.shape", scan.shape,
@@ -92,7 +98,11 @@ def _range_image(scan: LidarScan) -> Array:
 
 
 def _neighbour_slices() -> list[tuple[tuple[slice, slice], tuple[slice, slice]]]:
-    """Return slices of pixels and of their neighbours, for each of the four sides."""
+    """Return pairs of image slices: pixels and their neighbours, one pair per side.
+
+    For each of the four pairs (a, b), `image[b]` are the neighbours of the pixels `image[a]` on
+    one side. Pixels without a neighbour on that side are not in `image[a]`.
+    """
     every, first, last = slice(None), slice(None, -1), slice(1, None)
     return [
         ((first, every), (last, every)), ((last, every), (first, every)),

@@ -181,9 +181,9 @@ class ScanOdometry:
     def take(self, sensor: str, measurement: Any, time: float, *, used: bool) -> bool:
         """Update the filter by comparing a scan with the reference scan.
 
-        The scan is not compared if an earlier processor has `used` it. It becomes the new reference
-        if its overlap with the old one is too small. The return value states whether the comparison
-        was accepted.
+        The scan is not compared if an earlier processor has `used` it. It becomes the new
+        reference if its overlap with the old one is too small. The return value states whether the
+        comparison was accepted; other measurement types are ignored (False).
         """
         if not isinstance(measurement, LidarScan):
             return False
@@ -194,7 +194,11 @@ class ScanOdometry:
         return taken
 
     def _update_reference(self, sensor: str, scan: LidarScan) -> None:
-        """Make a scan the reference if its overlap with the last reference is too small."""
+        """Make a scan the reference if its overlap with the last reference is too small.
+
+        This also holds without a reference. The errors of the pose are copied to the block of the
+        reference pose.
+        """
         if self._reference is not None and self._share >= _MIN_OVERLAP:
             return
         posting = float(np.clip(scan_width(scan) / 24.0, *_POSTINGS_M))
@@ -205,7 +209,11 @@ class ScanOdometry:
         self._share = 1.0
 
     def _compare(self, sensor: str, scan: LidarScan, time: float) -> bool:
-        """Update the filter from the overlap with the reference; return whether accepted."""
+        """Update the filter from the overlap with the reference; return whether accepted.
+
+        The result is False without a reference of the same sensor, with too little overlap, or
+        after a bad fit. `time` is in s.
+        """
         self._share = 0.0
         if self._reference is None or self._reference.sensor != sensor:
             return False
@@ -289,8 +297,8 @@ def _difference_jacobian(
 def remove_implausible_ranges(scan: LidarScan) -> LidarScan:
     """Return a scan without implausible ranges or ranges without standard deviation.
 
-    Removed ranges are NaN. All ranges are removed if the mount is not a rotation, or the rays are
-    not unit vectors.
+    Removed ranges are NaN. Plausible ranges are positive and below 20 km. All ranges are removed
+    if the mount is not a rotation, or the rays are not unit vectors.
 
     Raises
     ------
@@ -314,7 +322,10 @@ def remove_implausible_ranges(scan: LidarScan) -> LidarScan:
 
 
 def scan_width(scan: LidarScan) -> float:
-    """Return the width of a scan across the line of sight, m; NaN without returns."""
+    """Return the width of a scan across the line of sight, m; NaN without returns.
+
+    It is the width at the median range.
+    """
     if not np.isfinite(scan.range).any():
         return np.nan
     reach = np.nanmedian(scan.range)
@@ -323,7 +334,11 @@ def scan_width(scan: LidarScan) -> float:
 
 
 def _common_squares(a: ScanSurface, b: ScanSurface) -> tuple[IntArray, IntArray]:
-    """Return the indices in `a` and in `b` of the grid squares that both contain."""
+    """Find the grid squares that two scan surfaces have in common.
+
+    The results are the indices of these squares in `a` (m,) and in `b` (m,), in the same order;
+    empty if there are none.
+    """
     if len(a) == 0 or len(b) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     wide = int(max(a.col.max(), b.col.max()) - min(a.col.min(), b.col.min())) + 1

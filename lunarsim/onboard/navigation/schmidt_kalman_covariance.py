@@ -145,7 +145,7 @@ def _explained_covariance(p: Array, indices: IntArray) -> Array:
     """Return the covariance (k, k) of some errors explained by all other errors.
 
     This is the covariance of the regression of the errors `indices` (k,) on the others; `p` (n, n)
-    is the covariance of all errors.
+    is the covariance of all errors. The result is zero if `p` is not positive definite.
     """
     others = np.setdiff1d(np.arange(len(p)), indices)
     unit = np.sqrt(np.maximum(p.diagonal()[others], 1e-300))
@@ -263,10 +263,11 @@ class DeferredUpdates:
         return bool(self._full_rows)
 
     def apply(self, p: Array) -> bool:
-        """Subtract all queued products from the first n rows and columns of p, in place.
+        """Subtract all queued products from a covariance p in place; empty the queue.
 
-        The return value states whether the columns of active errors are now out of date in the rows
-        of frozen errors.
+        The products are (n, n); `p` may be larger, but only its first n rows and columns change.
+        The return value states whether the columns of active errors are now out of date in the
+        rows of frozen errors.
         """
         is_outdated = False
         if self._full_rows:
@@ -334,8 +335,9 @@ class SchmidtKalmanCovariance:
     def covariance_for_rows(self, *rows: ArrayLike) -> Array:
         """Return the covariance array `p`, up to date in the rows of given errors.
 
-        The columns of these errors in other rows may be out of date, except within the block of one
-        rock.
+        `rows` are indices of these errors; without any, only the rows of errors that are not
+        frozen are up to date. The columns of these errors in other rows may be out of date, except
+        within the block of one rock.
         """
         self._apply_deferred()
         if self._columns.is_outdated and any(self._are_frozen(at).any() for at in rows):
@@ -355,7 +357,10 @@ class SchmidtKalmanCovariance:
         return np.asarray(self._p[first, second])
 
     def _are_frozen(self, indices: ArrayLike) -> BoolArray:
-        """Return which of the errors with given indices (...) are frozen."""
+        """Return which of the errors with given indices (...) are frozen.
+
+        Errors of the head never are.
+        """
         behind = np.asarray(indices) - self.head
         known = (behind >= 0) & (behind < len(self._frozen))
         is_frozen = np.zeros(behind.shape, np.bool_)

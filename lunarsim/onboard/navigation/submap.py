@@ -42,7 +42,8 @@ class Submap:
     def add(self, points: Array) -> bool:
         """Add points (n, 3), m, local frame; return whether any was added.
 
-        NaN marks missing points.
+        NaN marks missing points. No point is added if the map would have more than 3000 squares
+        along a side.
         """
         points = points[np.isfinite(points).all(axis=1)]
         if len(points) == 0:
@@ -51,7 +52,9 @@ class Submap:
         if np.ptp(place, axis=0).max() >= _MAX_SQUARES:
             return False
         col, row = place.astype(np.int64).T
-        if not self._cover(int(row.min()), int(row.max()), int(col.min()), int(col.max())):
+        if not self._extend_to_cover(
+            int(row.min()), int(row.max()), int(col.min()), int(col.max())
+        ):
             return False
         rows, cols = self._sum.shape
         index = (row - self.first[0]) * cols + col - self.first[1]
@@ -59,10 +62,12 @@ class Submap:
         self._count += np.bincount(index, minlength=rows * cols).reshape(rows, cols)
         return True
 
-    def _cover(self, south: int, north: int, west: int, east: int) -> bool:
+    def _extend_to_cover(self, south: int, north: int, west: int, east: int) -> bool:
         """Extend the arrays to cover given rows and columns; return whether possible.
 
-        `south` and `north` are row numbers, `west` and `east` column numbers.
+        `south` and `north` are row numbers, `west` and `east` column numbers. If the map would
+        have more than 3000 squares along a side, the arrays stay unchanged and the result is
+        False.
         """
         rows, cols = self._sum.shape
         if self._sum.size:
@@ -90,7 +95,10 @@ class Submap:
         return int(np.count_nonzero(self._count))
 
     def points(self) -> Array:
-        """Return the square centres at their mean heights (n, 3), m."""
+        """Return the square centres at their mean heights (n, 3), m.
+
+        Only squares that contain points are returned.
+        """
         row, col = np.nonzero(self._count)
         place = np.column_stack((col + self.first[1], row + self.first[0])) + 0.5
         xy = place * self._side + (self._west, self._south)
@@ -144,9 +152,10 @@ class ScanAccumulator:
     def take(self, corrected: CorrectedScan, time: float) -> CorrectedScan | None:
         """Add a scan; return a scan that covers enough map grid points, else None.
 
-        The result is the given scan if it is large enough, or else all accumulated points. The
-        accumulated points are fixed in the local frame, and are returned as a scan from the current
-        pose. `time` is in s.
+        If the given scan is large enough, it is returned and not added. Otherwise it is added, and
+        all accumulated points are returned once they are enough; the accumulation then starts
+        again, as it does after the maximum time. The accumulated points are fixed in the local
+        frame, and are returned as a scan from the current pose. `time` is in s.
         """
         points = corrected.points()
         if count_covered_squares(points, self._posting, self._min_posts) == self._min_posts:

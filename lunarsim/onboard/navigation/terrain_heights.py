@@ -181,8 +181,8 @@ def intersect_lines(
     start_height
         Initial heights of the iteration (b,), m.
     iteration_limits
-        Maximum number of iterations; height tolerance, m; minimum and maximum factor of a step
-        relative to the last height difference.
+        Maximum number of iterations; height tolerance, m; minimum and maximum decrease of the
+        height difference per metre of height, by which the difference is divided for a step.
     """
     with threads_for(2.0 * len(start_height)):
         return np.asarray(
@@ -322,7 +322,8 @@ def _slope_and_curvature(terrain: TerrainHeights, xy: Array) -> tuple[Array, Arr
     """Return gradient (k, 2) and curvature height (k,), m, of measured terrain.
 
     The curvature height is the height error of a rock at a slightly wrong place. `xy` (k, 2), m,
-    are the points. Both results are 0 if the terrain around the point is unknown.
+    are the points. Along an axis on which the terrain around the point is unknown, the gradient is
+    0 and the curvature height gets no contribution.
     """
     gradient, bend = np.zeros((len(xy), 2)), np.zeros(len(xy))
     middle = terrain.heights(xy)

@@ -257,7 +257,11 @@ class UnscentedFilter(Navigation):
         )  # fmt: skip
 
     def estimate_in_site(self, time: float, mass: float) -> Estimate:
-        """Return the lander's state at `time` (s) in the site frame, with mass (kg)."""
+        """Return the lander's state at `time` (s) in the site frame.
+
+        After a thrust command, the mass is that of the filter; before, it is the argument `mass`,
+        kg.
+        """
         return replace(self.estimate(time, mass), position=self.inertial.position.copy())
 
     # --- time -----------------------------------------------------------------------------
@@ -324,7 +328,8 @@ class UnscentedFilter(Navigation):
     def _update_with_thrust(self, velocity: Array) -> None:
         """Update with the axial acceleration, predicted as thrust over mass plus bias.
 
-        `velocity` (n, 3), m/s, are the velocity increments of the accelerometers in the last cycle.
+        `velocity` (n, 3), m/s, are the velocity increments of the accelerometers in the last
+        cycle. Nothing is done without commanded thrust or without valid samples.
         """
         push = velocity[np.isfinite(velocity).all(axis=1), 2] / self.inertial.step
         if self._thrust is None or self._mean_thrust <= 0.0 or len(push) == 0:
@@ -442,6 +447,7 @@ class UnscentedFilter(Navigation):
 
         `predict` is the function that predicts the measurement from a state (10,), `noise` (n, n)
         the covariance of the measurement, and `gate` the maximum normalised innovation squared.
+        The result is the outcome; a rejected measurement changes nothing.
         """
         k = self.kalman
         # filterpy draws sigma points only in `predict`; each further update needs new ones.

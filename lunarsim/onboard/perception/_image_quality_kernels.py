@@ -53,8 +53,9 @@ def _range_along(image, i, j, down, right):
 def _raise_direction_slope(out, patch, direction, slope, brightness_range, min_range):
     """Raise the maximum relative slope of a patch along one direction.
 
-    Row `patch` and column `direction` of `out` (patches, 5) hold the maximum. The relative slope is
-    the brightness gradient over `brightness_range`, which must be at least `min_range`.
+    Element [`patch`, `direction`] of `out` (patches, 5) holds the maximum; it changes only if this
+    slope is larger. The relative slope is the brightness gradient `slope` over `brightness_range`.
+    If the range is below `min_range`, nothing is done.
     """
     if brightness_range >= min_range:
         out[patch, direction] = max(out[patch, direction], slope / brightness_range)
@@ -64,8 +65,9 @@ def _raise_direction_slope(out, patch, direction, slope, brightness_range, min_r
 def _raise_slopes(out, patch, image, i, j, min_range):
     """Raise the maximum relative slopes of a patch by those at pixel (i, j).
 
-    Row `patch` of `out` (patches, 5) holds the maxima; edges with a brightness range below
-    `min_range` are ignored.
+    `image` is the brightness. Row `patch` of `out` (patches, 5) holds the maxima for four
+    directions and the steepest slope; smaller slopes, and edges with a brightness range below
+    `min_range`, change nothing.
     """
     gu = 0.5 * (image[i, j + 1] - image[i, j - 1])
     gv = 0.5 * (image[i + 1, j] - image[i - 1, j])
@@ -93,14 +95,15 @@ def _raise_slopes(out, patch, image, i, j, min_range):
 def edge_slopes(image, labels, count, stride, min_range):
     """Return the maximum relative brightness slope at the edge of each dark patch.
 
-    The result (count + 1, 5), 1/pixels, is for four directions and for the steepest; 0 for no edge.
-    A slope is divided by the brightness range of the edge within 3 pixels. The steepest slope is
-    divided by the range in all directions. A slope along one direction is divided by the range
-    along it, but by at least half of the range in all directions. Edges with a range below
-    `min_range` are ignored.
+    The result (count + 1, 5), 1/pixels, has one row per label and columns for the directions
+    right, right and down, down, left and down, and for the steepest slope; 0 for no edge. A slope
+    is divided by the brightness range of the edge within 3 pixels. The steepest slope is divided
+    by the range in all directions. A slope along one direction is divided by the range along it,
+    but by at least half of the range in all directions. Edges with a range below `min_range` are
+    ignored.
 
-    `labels` (height, width) are the patches in `image`, from 1 to `count`, 0 for none. Only patches
-    whose label is a multiple of `stride` are measured.
+    `labels` (height, width) are the patches in `image`, from 1 to `count`, 0 for none. Only
+    patches whose label is a multiple of `stride` are measured; the other rows stay 0.
     """
     out = np.zeros((count + 1, SLOPES))
     height, width = labels.shape
@@ -131,11 +134,12 @@ def edge_slopes(image, labels, count, stride, min_range):
 def sum_dark_and_bright(image, labels, ring_labels, count, min_excess):
     """Sum positions over each dark patch and over the bright pixels beside it.
 
-    The result (count + 1, 6) is weight and weighted column and row of the bright pixels, then
-    number, column and row of the dark ones. `image` is the brightness relative to lit terrain,
-    `labels` are the patches from 1 to `count` (0: none), and `ring_labels` the adjacent patch of
-    pixels outside (height, width). The weight of a bright pixel is its brightness minus 1 and minus
-    `min_excess`, at most 1.
+    The result (count + 1, 6) has one row per label: weight and weighted column and row of the
+    bright pixels, then number, column and row of the dark ones. `image` is the brightness relative
+    to lit terrain, `labels` are the patches from 1 to `count` (0: none), and `ring_labels` the
+    adjacent patch of pixels outside (0: none), all (height, width). The weight of a bright pixel
+    is its brightness minus 1 and minus `min_excess`, at most 1; pixels without a positive weight
+    are ignored.
     """
     out = np.zeros((count + 1, 6))
     height, width = labels.shape
@@ -172,12 +176,14 @@ def sum_black_and_lit(
 ):
     """Sum positions over the black pixels of each dark patch and over its lit pixels.
 
-    The result (count + 1, 6) is weight and weighted column and row of the black pixels, then of the
-    lit ones. `labels` are the patches from 1 to `count` (0: none), and `ring_labels` the adjacent
-    patch of pixels outside (height, width). In a patch, the brightness is `relative` to nearby
-    slopes: a pixel is black below `black_level` and lit above `grey_level`, and its weight is the
-    difference to the level, for lit ones at most `max_grey_weight`. Outside, it is
-    `relative_to_lit` pixels nearby; the weight is this minus 1 and minus `min_excess`, at most 1.
+    The result (count + 1, 6) has one row per label: weight and weighted column and row of the
+    black pixels, then of the lit ones. `labels` are the patches from 1 to `count` (0: none), and
+    `ring_labels` the adjacent patch of pixels outside (0: none), both (height, width). Pixels in a
+    patch are rated by `relative`, their brightness relative to nearby slopes: black below
+    `black_level`, lit above `grey_level`; the weight is the difference to this level, for lit ones
+    at most `max_grey_weight`. Pixels outside are rated by `relative_to_lit`, their brightness
+    relative to lit pixels nearby: they are lit, with the weight of this minus 1 and minus
+    `min_excess`, from 0 to 1.
     """
     out = np.zeros((count + 1, 6))
     height, width = labels.shape

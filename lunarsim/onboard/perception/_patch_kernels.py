@@ -21,7 +21,10 @@ COLUMNS = 14
 
 @kernel(inline=True)
 def _borders_on(label, up, down, left, right):
-    """Return whether a neighbour of a pixel has another label than the pixel."""
+    """Return whether a neighbour of a pixel has another label than the pixel.
+
+    `label` is that of the pixel, `up` to `right` are those of its four neighbours.
+    """
     return up != label or down != label or left != label or right != label
 
 
@@ -29,8 +32,9 @@ def _borders_on(label, up, down, left, right):
 def _count_pixel(out, label, tx, ty, is_rim, is_edge, is_deep):
     """Count a pixel in row `label` of the patch table `out` and add its tangents.
 
-    `tx` and `ty` are the tangents of its line of sight. The pixel may be at the rim of its patch,
-    on a brightness edge of the image, and darker than half way to lit terrain (deep).
+    `tx` and `ty` are the tangents of its line of sight. The flags state whether the pixel is at
+    the rim of its patch, on a brightness edge of the image (counted only at the rim), and darker
+    than half way to lit terrain (deep).
     """
     out[label, PIXELS] += 1.0
     if is_deep:
@@ -61,7 +65,8 @@ def _add_moments(out, label, along, across):
 def _line_of_sight(tx, ty, right, down, ahead):
     """Return the line of sight of a pixel: east, north and up for a depth of 1 m.
 
-    `tx` and `ty` are its tangents; `right`, `down` and `ahead` are the sensor axes (tuples).
+    `tx` and `ty` are its tangents to the right and down; `right`, `down` and `ahead` are the
+    sensor axes, as tuples of east, north and up.
     """
     return (
         right[0] * tx + down[0] * ty + ahead[0],
@@ -72,9 +77,9 @@ def _line_of_sight(tx, ty, right, down, ahead):
 
 @kernel()
 def _to_sun(east, north, sun):
-    """Return the components of a horizontal vector along the Sun and across it.
+    """Return the components of a horizontal vector along the Sun and to its left.
 
-    `sun` is the horizontal unit vector towards the Sun.
+    `east` and `north` are the vector, and `sun` (2) is the horizontal unit vector towards the Sun.
     """
     return east * sun[0] + north * sun[1], north * sun[0] - east * sun[1]
 
@@ -84,7 +89,8 @@ def _pixel_size_on_terrain(depth, ray, right, down, sun):
     """Return the size of a pixel on the terrain along the Sun and across it.
 
     The sizes are in m times the focal length in pixels. `depth` is the depth of the terrain point,
-    m, `ray` its line of sight, and `right` and `down` are sensor axes.
+    m, `ray` its line of sight, `right` and `down` are sensor axes, and `sun` is the horizontal
+    unit vector towards the Sun.
     """
     # Displacement of the terrain point along and across for one pixel right and down.
     along_u, across_u = _to_sun(
@@ -102,7 +108,11 @@ def _pixel_size_on_terrain(depth, ray, right, down, sun):
 
 @kernel()
 def _sums_to_means(out):
-    """Convert the sums over each patch in `out` to the results of `measure_patches`."""
+    """Convert the sums over each patch in `out` to the results of `measure_patches`.
+
+    `out` (patches + 1, 14) is changed in place: sums become means, second moments become lengths,
+    widths and the covariance.
+    """
     for k in range(1, out.shape[0]):
         pixels = max(out[k, PIXELS], 1.0)
         out[k, TX] /= pixels

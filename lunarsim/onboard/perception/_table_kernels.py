@@ -10,7 +10,10 @@ from lunarsim._jit import kernel
 
 @kernel()
 def _interval(grid, value):
-    """Return the index of the interval of an ascending grid that contains a value."""
+    """Return the index of the interval of an ascending grid that contains a value.
+
+    For values outside the grid, it is the first or the last interval.
+    """
     low, high = 0, grid.size - 1
     while high - low > 1:
         middle = (low + high) // 2

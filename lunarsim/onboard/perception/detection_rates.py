@@ -16,14 +16,15 @@ _PIXEL_SIGMA = 12.0**-0.5
 
 @dataclass(frozen=True)
 class DetectionRates:
-    """Detection rates that are linear in q and limited at both ends.
+    """Rates of missed and false detections, linear in q and limited at both ends.
 
-    q is the square root of the number of dark pixels. The defaults are printed by
-    `python scenarios/shadows/detection_rates.py`: rocks of all shapes on horizontal terrain, 5 %
-    cover, Sun elevation 20 deg, blur 0.6 pixels. A test repeats the study.
+    q is the square root of the number of dark pixels. A rate is clipped between its minimum and 1.
+    The defaults are printed by `python scenarios/shadows/detection_rates.py`: rocks of all shapes
+    on horizontal terrain, 5 % cover, Sun elevation 20 deg, blur 0.6 pixels. A test repeats the
+    study.
 
-    The paper defines q along the shadow (III.C). The square root of the area equals it for a square
-    patch and also accounts for the part of a shadow that its rock hides.
+    The paper defines q along the shadow (III.C). The square root of the area equals it for a
+    square patch and also accounts for the part of a shadow that its rock hides.
 
     Attributes
     ----------
@@ -57,19 +58,26 @@ class DetectionRates:
             raise InputError("rates.blur", self.blur, "must be 0 or more, and finite")
 
     def relative_edge_width(self, blur: float) -> float:
-        """Return the edge width of a camera relative to that of these rates, at least 1.
+        """Return the width of image edges relative to that for these rates, at least 1.
 
-        `blur` is the point spread of the camera, 1 sigma, pixels; the size of a pixel adds to both
-        widths. A wider edge fills shadows with light as larger pixels would.
+        `blur` is the point spread of the camera, 1 sigma, pixels; the rates hold for the point
+        spread `self.blur`. The size of a pixel adds to both. A wider edge fills shadows with light
+        as larger pixels would.
         """
         return max(float(np.hypot(blur, _PIXEL_SIGMA) / np.hypot(self.blur, _PIXEL_SIGMA)), 1.0)
 
     def false_negative(self, q: Any) -> Array:
-        """Return the false-negative rate FN(q) for q, the root of the dark pixels (...)."""
+        """Return the false-negative rate FN(q) of shadows (...).
+
+        `q` (...) is the square root of the number of dark pixels.
+        """
         return _clipped_line(self.missed, q)
 
     def false_positive(self, q: Any) -> Array:
-        """Return the false-positive rate FP(q) for q, the root of the dark pixels (...)."""
+        """Return the false-positive rate FP(q) of detections (...).
+
+        `q` (...) is the square root of the number of dark pixels.
+        """
         return _clipped_line(self.false, q)
 
     def false_clear(self, q: Any) -> Array:
@@ -87,6 +95,9 @@ class DetectionRates:
 
 
 def _clipped_line(line: tuple[float, float, float], q: Any) -> Array:
-    """Return the rate of a clipped line (value at q = 0, slope, minimum) at q (...)."""
+    """Return the rate of a line, limited to a minimum and to 1, at q (...).
+
+    `line` is the value at q = 0, the slope, and the minimum at large q.
+    """
     start, slope, floor = line
     return np.clip(start + slope * np.asarray(q, dtype=np.float64), floor, 1.0)

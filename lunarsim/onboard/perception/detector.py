@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim.errors import InputError, check_types
+from lunarsim.errors import InputError
 from lunarsim.frames import is_rotation
 from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
@@ -31,7 +31,7 @@ from lunarsim.onboard.perception.sun_direction import (
     unit_vector,
 )
 from lunarsim.typing import Array, BoolArray
-from lunarsim.value_checks import check_elements, check_finite, check_shape
+from lunarsim.value_checks import check_finite, check_shape
 
 # The threshold enlarges patches: typical ratio of measured to expected area, and the fraction of it
 # below which a patch is taken for several merged shadows.
@@ -39,76 +39,23 @@ _AREA_RATIO = 1.25
 _MERGED_AREA_RATIO = 0.78
 # Minimum visible length of a patch, in radii. A shorter one is mostly hidden by its rock.
 _MIN_LENGTH = 0.3
-
-
-@dataclass(frozen=True)
-class DetectorSettings:
-    """Criteria for the shadow of a rock.
-
-    Attributes
-    ----------
-    gamma, window
-        Exponent of the gamma correction, and side of the neighbourhood for the brightness of lit
-        terrain as a fraction of the image width; both used by `segment`.
-    min_pixels
-        Minimum number of dark pixels of a patch.
-    min_edge_fraction
-        Minimum fraction of a patch's rim that lies on an edge of the image (Canny).
-    min_deep_fraction
-        Minimum fraction of a patch that is darker than half way from shadow to lit terrain.
-    canny
-        Lower and upper threshold on the gradient of the gamma-corrected 8-bit image.
-    max_radius
-        Maximum radius of a rock, m; larger dark patches are shadows of the terrain.
-    min_fill_fraction
-        Minimum fraction of its bounding box on the terrain that a patch fills.
-    pixel_sigma
-        Standard deviation of the position of an end of a patch, pixels.
-    observation_sigma
-        Standard deviations of a centre between observations, along the Sun and across, relative to
-        the size of a pixel on the terrain; determined by `scenarios/shadows/rock_measurements.py`.
-    small_patch_sigma
-        Additional standard deviations for patches of one pixel per radius, along the Sun and
-        across, pixels; they decrease as patches grow. They were tuned on filters in flight, because
-        the study does not pair patches that merge with a neighbour in some images only.
-    """
-
-    gamma: float = 0.7
-    window: float = 0.12
-    min_pixels: int = 4
-    min_edge_fraction: float = 0.5
-    min_deep_fraction: float = 0.5
-    canny: tuple[float, float] = (40.0, 100.0)
-    max_radius: float = 5.0
-    min_fill_fraction: float = 0.3
-    pixel_sigma: float = 0.4
-    observation_sigma: tuple[float, float] = (0.26, 0.095)
-    small_patch_sigma: tuple[float, float] = (0.62, 0.22)
-
-    def __post_init__(self) -> None:
-        check_types("detector", self)
-        if not self.min_pixels >= 1:
-            raise InputError("detector.min_pixels", self.min_pixels, "must be 1 or more")
-        for name in ("gamma", "max_radius", "pixel_sigma"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"detector.{name}", value, "must be positive and finite")
-        for name in ("window", "min_edge_fraction", "min_deep_fraction", "min_fill_fraction"):
-            value = getattr(self, name)
-            if not 0.0 < value <= 1.0:
-                raise InputError(f"detector.{name}", value, "must be more than 0 and at most 1")
-        for name, least in (("observation_sigma", 1e-9), ("small_patch_sigma", 0.0)):
-            pair = np.asarray(getattr(self, name))
-            problem = "must be positive and finite" if least else "must be 0 or more, and finite"
-            is_valid = np.isfinite(pair) & (pair >= least)
-            check_elements(f"detector.{name}", pair, is_valid, problem)
-        low, high = self.canny
-        if not 0.0 < low < high < np.inf:
-            raise InputError(
-                "detector.canny",
-                self.canny,
-                "must be two positive numbers, the smaller number first",
-            )
+# Minimum number of dark pixels of a patch, minimum fraction of its rim on an edge of the image, and
+# minimum fraction that is darker than half way from shadow to lit terrain.
+_MIN_PIXELS, _MIN_EDGE_FRACTION, _MIN_DEEP_FRACTION = 4, 0.5, 0.5
+# Lower and upper Canny threshold on the gradient of the gamma-corrected 8-bit image.
+_CANNY = (40.0, 100.0)
+# Maximum radius of a rock, m, and minimum fraction of its bounding box on the terrain that a patch
+# fills; other dark patches are shadows of the terrain.
+_MAX_RADIUS, _MIN_FILL_FRACTION = 5.0, 0.3
+# Standard deviation of the position of an end of a patch, pixels.
+_PIXEL_SIGMA = 0.4
+# Standard deviations of a rock centre between observations, along the Sun and across, relative to
+# the size of a pixel on the terrain; determined by scenarios/shadows/rock_measurements.py.
+OBSERVATION_SIGMA = (0.26, 0.095)
+# Additional standard deviations for patches of one pixel per radius, along the Sun and across,
+# pixels; they decrease as patches grow. Tuned on filters in flight, because the study does not pair
+# patches that merge with a neighbour in some images only.
+SMALL_PATCH_SIGMA = (0.62, 0.22)
 
 
 @dataclass(frozen=True)
@@ -146,9 +93,10 @@ class Detections:
         Labels of patches that belong to no rock but hide terrain: terrain in its own shadow,
         patches cut by the image border, and invalid pixels.
     relative
-        Brightness relative to the nearby slopes if they were lit (height, width).
+        Brightness relative to nearby slopes outside shadows (height, width).
     relative_to_lit_terrain
-        Brightness relative to the nearby lit terrain including its slopes (height, width).
+        Brightness relative to lit terrain in a wider neighbourhood (height, width); lit slopes
+        differ from 1.
     largest
         Longest half axis of the largest rock that each label may be the shadow of (labels + 1,), m;
         0 for none, infinite where unknown.
@@ -189,7 +137,11 @@ class Detections:
         return np.asarray(place[self.labels])
 
     def with_invalid(self, invalid: BoolArray) -> Detections:
-        """Return a copy with an excluded patch of the `invalid` pixels (height, width)."""
+        """Return a copy in which the `invalid` pixels (height, width) hide the terrain.
+
+        They form one new patch in `labels` and `excluded_labels`. Without invalid pixels, the
+        detections themselves are returned.
+        """
         if not invalid.any():
             return self
         label = np.int32(len(self.largest))
@@ -218,7 +170,6 @@ def detect_rocks(
     *,
     terrain: float | GroundPlane = 0.0,
     model: ShadowModel | ShapeMixture | None = None,
-    settings: DetectorSettings | None = None,
 ) -> Detections:
     """Detect rocks in one image by their shadows.
 
@@ -239,8 +190,6 @@ def detect_rocks(
         Plane on which rocks stand, or the elevation of a horizontal plane, m.
     model
         Model of the shadows for the Sun elevation above horizontal terrain; default: half spheres.
-    settings
-        Criteria for shadows.
 
     Returns
     -------
@@ -254,19 +203,18 @@ def detect_rocks(
         If the image is not numeric or its shape differs from the camera's, the pose is not finite
         or not a rotation, or the Sun direction is not a unit vector.
     """
-    settings = settings or DetectorSettings()
     direction = unit_vector(sun)
     _check_pose(pose)
     check_shape("image", image, (camera.height, camera.width), "like the detector of the camera")
-    segmentation = segment(image, gamma=settings.gamma, window=settings.window)
+    segmentation = segment(image)
     plane = terrain if isinstance(terrain, GroundPlane) else GroundPlane(float(terrain))
     view, onto = plane.level_view(camera.view(pose)), plane.level_direction(direction)
-    labels, table = _label_patches(segmentation, camera, view, onto, settings)
+    labels, table = _label_patches(segmentation, camera, view, onto)
     if len(table) == 0 or not has_usable_shadows(onto) or not view.position[2] > 0.0:
         seen = _no_detections(labels, np.arange(1, len(table) + 1, dtype=np.int32), segmentation)
     else:
         mixture = _mixture_of(model, direction, plane)
-        seen = _measure_rocks(labels, table, view, onto, mixture, settings, segmentation)
+        seen = _measure_rocks(labels, table, view, onto, mixture, segmentation)
     return seen if segmentation.left_out is None else seen.with_invalid(segmentation.left_out)
 
 
@@ -330,7 +278,6 @@ def _label_patches(
     camera: CameraModel,
     view: View,
     sun: Array,
-    settings: DetectorSettings,
 ) -> tuple[NDArray[np.int32], Array]:
     """Label the dark patches of an image and measure them on the terrain plane.
 
@@ -340,7 +287,7 @@ def _label_patches(
     count, labels = cv2.connectedComponents(segmentation.dark, connectivity=8, ltype=cv2.CV_32S)
     if count == 1:
         return labels, np.empty((0, kernels.COLUMNS))
-    edges = cv2.Canny(segmentation.brightness, *settings.canny, L2gradient=True)
+    edges = cv2.Canny(segmentation.brightness, *_CANNY, L2gradient=True)
     # An edge may lie one pixel beside the threshold.
     edges = cv2.dilate(edges, np.ones((3, 3), np.uint8))
     x, y = camera.tangents
@@ -371,19 +318,20 @@ def _measure_rocks(
     view: View,
     sun: Array,
     model: ShapeMixture,
-    settings: DetectorSettings,
     segmentation: Segmentation,
 ) -> Detections:
     """Convert measured dark patches to rocks, and reject those that are not shadows.
 
-    `labels` (height, width) and `table` (n, columns) are the results of `_label_patches`. Terrain
-    is at height 0 of `view`; `sun` (3,) is in the same coordinates.
+    Patches that are noise or mostly hidden by their rock are dropped; patches cut by the image
+    border or caused by the terrain become excluded labels. `labels` (height, width) and `table`
+    (n, columns) are the results of `_label_patches`. Terrain is at height 0 of `view`; `sun` (3,)
+    is in the same coordinates.
     """
     k = kernels
     is_noise = (
-        (table[:, k.PIXELS] < settings.min_pixels)
-        | (table[:, k.SEEN] < settings.min_edge_fraction * table[:, k.EDGE])
-        | (table[:, k.DEEP] < settings.min_deep_fraction * table[:, k.PIXELS])
+        (table[:, k.PIXELS] < _MIN_PIXELS)
+        | (table[:, k.SEEN] < _MIN_EDGE_FRACTION * table[:, k.EDGE])
+        | (table[:, k.DEEP] < _MIN_DEEP_FRACTION * table[:, k.PIXELS])
     )
     is_cut = table[:, k.BORDER] > 0.0
     is_complete = ~is_noise & ~is_cut
@@ -393,15 +341,15 @@ def _measure_rocks(
     along_px, across_px = t[:, k.SPAN_ALONG], t[:, k.SPAN_ACROSS]
     length, width = t[:, k.LENGTH], t[:, k.WIDTH]
     estimate = model.estimate_radius(
-        length, width, azimuth, depression, along_px, across_px, settings.pixel_sigma
+        length, width, azimuth, depression, along_px, across_px, _PIXEL_SIGMA
     )
     unit = estimate.unit
     area_fraction = _area_fraction(estimate, view, t)
     rocks = _CorrectedRadii.for_merged(estimate, area_fraction)
     fill = t[:, k.PIXELS] * along_px * across_px / np.maximum(length * width, 1e-9)
-    is_terrain = (rocks.radius > settings.max_radius) | (fill < settings.min_fill_fraction)
+    is_terrain = (rocks.radius > _MAX_RADIUS) | (fill < _MIN_FILL_FRACTION)
     frame = _sun_frame(sun)
-    observation_sigma = _observation_sigma(settings, rocks.radius, along_px, across_px, sun)
+    observation_sigma = _observation_sigma(rocks.radius, along_px, across_px, sun)
     offset, spread = _rock_centres(t, rocks, unit, observation_sigma)
     offset = offset @ frame.T
     pixel, jacobian = _to_pixels(offset, view, frame)
@@ -425,9 +373,7 @@ def _measure_rocks(
     )  # fmt: skip
 
 
-def _observation_sigma(
-    settings: DetectorSettings, radius: Array, along: Array, across: Array, sun: Array
-) -> Array:
+def _observation_sigma(radius: Array, along: Array, across: Array, sun: Array) -> Array:
     """Return the scatter of rock centres between observations (n, 2), m.
 
     The columns are along the Sun and across. `radius` (n,) is that of the rocks, m; `along` and
@@ -438,8 +384,7 @@ def _observation_sigma(
     wide = np.maximum(radius / np.sqrt(along * across), 0.25)
     spans = np.column_stack((observation_scatter_factor(sun) * along, across))
     return np.asarray(
-        spans
-        * np.hypot(settings.observation_sigma, np.divide(settings.small_patch_sigma, wide[:, None]))
+        spans * np.hypot(OBSERVATION_SIGMA, np.divide(SMALL_PATCH_SIGMA, wide[:, None]))
     )
 
 
@@ -473,8 +418,9 @@ def _rock_centres(
 def _area_fraction(estimate: RadiusEstimate, view: View, table: Array) -> Array:
     """Return measured over expected number of pixels of dark patches (n,).
 
-    `estimate` are the radii from length and width of the patches, and `table` the measured patches.
-    A small value indicates several merged shadows.
+    `estimate` are the radii from length and width of the patches, and `table` the measured
+    patches. The ratio is scaled so that a single shadow typically has 1; a small value indicates
+    several merged shadows.
     """
     line_of_sight = np.column_stack(
         (table[:, kernels.TX], table[:, kernels.TY], np.ones(len(table)))

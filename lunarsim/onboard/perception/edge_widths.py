@@ -37,11 +37,11 @@ class EdgeWidths:
     number
         Number of shadows with measured edges.
     sharpest
-        Width across the edge, where brightness changes most, of the sharpest fifth of the shadows
-        (20 % quantile); infinite without a shadow.
+        Width across the edge, where brightness changes most: 20 % quantile over the shadows;
+        infinite without a shadow.
     least_sharp_direction
-        The same along each of four image directions; the maximum over the directions. It exceeds
-        `sharpest` under motion blur.
+        20 % quantile of the widths along each of four image directions, maximum over these
+        directions. It exceeds `sharpest` under motion blur.
     """
 
     number: int

@@ -63,7 +63,9 @@ def high_sun_angle(
 ) -> SunAngle:
     """Measure the angle between shadows and their direction under an assumed high Sun.
 
-    Lit faces of rocks and axes of their dark patches are compared with the shadow model.
+    Lit faces of rocks and axes of their dark patches are compared with the shadow model. The angle
+    is unknown (NaN) if no rock shows black and lit pixels, or if the directions do not agree with
+    any rock shape.
 
     Parameters
     ----------

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
-from lunarsim.errors import InputError, check_types
 from lunarsim.frames import is_position, is_rotation
 from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
@@ -41,6 +40,41 @@ _MISSING_BRIGHTNESS_RATIO, _MISSING_LINE_DARK, _NEIGHBOUR_LINE_DARK = 0.15, 0.98
 _SHADE_QUANTILE = 0.01
 # Number of earlier frames with which an image is compared, since a buffer may be read repeatedly.
 _COMPARED_FRAMES = 3
+
+# Limits of an accepted image. Minimum counts of lit terrain; one count is then an eighth of its
+# brightness.
+MIN_LIT_COUNTS = 8.0
+# Maximum fractions: pixels at the highest count; dark pixels, whether shadow or sky; pixels that
+# are not finite, and rows or columns that are missing; lit pixels of a band that repeat an earlier
+# image.
+MAX_SATURATED_FRACTION, MAX_DARK_FRACTION = 0.1, 0.6
+MAX_MISSING_FRACTION, MAX_REPEATED_FRACTION = 0.02, 0.9
+# Maximum noise of a pixel in any part of the image, and maximum brightness of the darkest shadows,
+# both relative to lit terrain.
+MAX_NOISE, MAX_SHADOW_BRIGHTNESS = 0.08, 0.35
+# Minimum number of rock shadows.
+MIN_SHADOWS = 4
+# Maximum width of the sharpest shadow edges, in any direction and in the direction with the widest
+# edges, relative to that of the point spread.
+MAX_EDGE_WIDTH_RATIO, MAX_SMEAR_RATIO = 1.25, 1.15
+# Angle between shadows and their expected direction, rad: up to the first value the Sun direction
+# is confirmed; from the second, or from the third under a high Sun, it is contradicted. Boulders
+# brighter than the terrain bias the angle by up to 18 deg under a high Sun.
+CONFIRM_ANGLE, _CONTRADICT_ANGLE, _HIGH_SUN_CONTRADICT_ANGLE = np.deg2rad((10.0, 15.0, 25.0))
+# Maximum standard deviation of the angle for a conclusion, rad.
+_MAX_ANGLE_SIGMA = float(np.deg2rad(5.0))
+# Minimum significance of the side on which lit faces lie, which excludes an error of half a turn,
+# standard deviations.
+_MIN_SIDE_SIGNIFICANCE = 4.0
+# Minimum agreement (mean resultant length) of the directions from lit faces to shadows for a
+# contradiction and for a confirmation. Craters and slopes shift the angle too, but agree less.
+# Where shadows merge, terrain between them is taken for lit faces on the wrong side.
+_CONTRADICT_AGREEMENT, _CONFIRM_AGREEMENT = 0.55, 0.2
+# Under a high Sun a less accurate angle also confirms the direction if its error is below the first
+# value, rad, by the second number of standard deviations.
+_MAX_CONFIRMED_ERROR, _CONFIRM_SIGMAS = float(np.deg2rad(30.0)), 3.5
+# Point spread of a camera without a calibration, 1 sigma, pixels.
+DEFAULT_BLUR_SIGMA = 0.6
 
 
 class ImageRejection(Enum):
@@ -98,122 +132,6 @@ class ImageQuality:
         return self.fault is not None and self.fault not in _INCONCLUSIVE
 
 
-@dataclass(frozen=True)
-class ImageQualitySettings:
-    """Criteria for accepting an image.
-
-    Attributes
-    ----------
-    blur_sigma
-        Calibrated point spread of the camera, 1 sigma, pixels.
-    min_lit_counts
-        Minimum counts of lit terrain; one count is then an eighth of its brightness.
-    max_saturated_fraction
-        Maximum fraction of the pixels at the highest count.
-    max_noise
-        Maximum noise of a pixel relative to lit terrain, in any part of the image.
-    max_dark_fraction
-        Maximum fraction of the image that is dark, whether shadow or sky.
-    max_missing_fraction
-        Maximum fraction of pixels that are not finite, and of rows or columns that are missing.
-    max_repeated_fraction
-        Maximum fraction of the lit pixels of a band that equal those of an earlier image.
-    max_shadow_brightness
-        Maximum brightness of the darkest shadows relative to lit terrain.
-    min_shadows
-        Minimum number of rock shadows.
-    max_edge_width_ratio
-        Maximum width of the sharpest shadow edges, relative to that of the point spread.
-    max_smear_ratio
-        Maximum width of the sharpest edges in the direction with the widest edges, relative to that
-        of the point spread.
-    confirm_angle, contradict_angle
-        Angles between shadows and their expected direction, rad. Up to the first the Sun direction
-        is confirmed; from the second it is contradicted; in between neither holds.
-    high_sun_contradict_angle
-        Replaces `contradict_angle` under a high Sun, where boulders brighter than the terrain bias
-        the angle by up to 18 deg, rad.
-    turn_sigma
-        Maximum standard deviation of the angle for a conclusion, rad.
-    min_side_significance
-        Minimum significance of the side on which lit faces lie, which excludes an error of half a
-        turn, standard deviations.
-    contradict_agreement
-        Minimum agreement (mean resultant length) of the directions from lit faces to shadows for a
-        contradiction. Craters and slopes shift the angle too, but agree less.
-    confirm_agreement
-        Minimum agreement of these directions for a confirmation. Where shadows merge, terrain
-        between them is taken for lit faces on the wrong side, and fewer directions agree.
-    max_confirmed_error, confirm_sigmas
-        Maximum error of a confirmed Sun direction, rad. Under a high Sun a less accurate angle also
-        confirms the direction if it is `confirm_sigmas` standard deviations away from
-        `max_confirmed_error`.
-    """
-
-    blur_sigma: float = 0.6
-    min_lit_counts: float = 8.0
-    max_saturated_fraction: float = 0.1
-    max_noise: float = 0.08
-    max_dark_fraction: float = 0.6
-    max_missing_fraction: float = 0.02
-    max_repeated_fraction: float = 0.9
-    max_shadow_brightness: float = 0.35
-    min_shadows: int = 4
-    max_edge_width_ratio: float = 1.25
-    max_smear_ratio: float = 1.15
-    confirm_angle: float = float(np.deg2rad(10.0))
-    contradict_angle: float = float(np.deg2rad(15.0))
-    high_sun_contradict_angle: float = float(np.deg2rad(25.0))
-    turn_sigma: float = float(np.deg2rad(5.0))
-    min_side_significance: float = 4.0
-    contradict_agreement: float = 0.55
-    confirm_agreement: float = 0.2
-    max_confirmed_error: float = float(np.deg2rad(30.0))
-    confirm_sigmas: float = 3.5
-
-    def __post_init__(self) -> None:
-        check_types("image_quality", self)
-        if not (np.isfinite(self.blur_sigma) and self.blur_sigma >= 0.0):
-            raise InputError(
-                "image_quality.blur_sigma", self.blur_sigma, "must be 0 or more, and finite"
-            )
-        for name in (
-            "max_saturated_fraction",
-            "max_dark_fraction",
-            "max_missing_fraction",
-            "max_repeated_fraction",
-        ):
-            if not 0.0 < getattr(self, name) <= 1.0:
-                raise InputError(
-                    f"image_quality.{name}",
-                    getattr(self, name),
-                    "must be more than 0 and at most 1",
-                )
-        for name in ("min_lit_counts", "max_noise", "min_shadows", "max_shadow_brightness",
-        "max_edge_width_ratio",
-                     "max_smear_ratio", "confirm_angle", "contradict_angle",
-                     "high_sun_contradict_angle", "turn_sigma",
-                     "min_side_significance", "contradict_agreement", "confirm_agreement",
-                     "max_confirmed_error",
-                     "confirm_sigmas"):  # fmt: skip
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
-                raise InputError(
-                    f"image_quality.{name}", getattr(self, name), "must be positive and finite"
-                )
-        for name in ("contradict_agreement", "confirm_agreement"):
-            if getattr(self, name) > 1.0:
-                raise InputError(f"image_quality.{name}", getattr(self, name), "must be at most 1")
-        if self.contradict_angle > np.pi:
-            raise InputError(
-                "image_quality.contradict_angle", self.contradict_angle, "must be at most pi rad"
-            )
-        if self.confirm_angle > self.contradict_angle:
-            raise InputError(
-                "image_quality.confirm_angle", self.confirm_angle,
-                f"must be at most contradict_angle, which is {self.contradict_angle:g} rad",
-            )  # fmt: skip
-
-
 @dataclass
 class SunConfirmation:
     """Record whether shadows have confirmed the assumed Sun direction.
@@ -238,17 +156,17 @@ class ImageQualityCheck:
 
     Parameters
     ----------
-    settings
-        Criteria for accepting an image; default: default criteria.
+    blur_sigma
+        Calibrated point spread of the camera, 1 sigma, pixels.
     sun
         Confirmation of the Sun direction, shared with other cameras of the lander; default: a
         separate one.
     """
 
     def __init__(
-        self, settings: ImageQualitySettings | None = None, sun: SunConfirmation | None = None
+        self, blur_sigma: float = DEFAULT_BLUR_SIGMA, sun: SunConfirmation | None = None
     ) -> None:
-        self.settings = settings or ImageQualitySettings()
+        self.blur_sigma = blur_sigma
         self.sun = sun or SunConfirmation()
         self._last: deque[NDArray[Any]] = deque(maxlen=_COMPARED_FRAMES)
 
@@ -283,38 +201,38 @@ class ImageQualityCheck:
         `below_horizon` marks the sampled pixels that show terrain; `metrics` receives the measured
         values.
         """
-        s = self.settings
         sampled = image[::_PIXEL_STRIDE, ::_PIXEL_STRIDE]
         is_finite = np.isfinite(sampled)
         metrics["gaps"] = 1.0 - float(is_finite.mean())
-        if metrics["gaps"] > s.max_missing_fraction:
+        if metrics["gaps"] > MAX_MISSING_FRACTION:
             return ImageRejection.NO_NUMBERS
-        same = self._repeated_fraction(sampled, s.min_lit_counts)
+        same = self._repeated_fraction(sampled, MIN_LIT_COUNTS)
         self._last.append(sampled.copy())
         below_horizon = below_horizon & is_finite
         if not below_horizon.any():
             return ImageRejection.NO_SHADOWS
         metrics["lit"] = _lit_brightness(sampled[below_horizon])
-        if not metrics["lit"] >= s.min_lit_counts:
+        if not metrics["lit"] >= MIN_LIT_COUNTS:
             return ImageRejection.FAINT
         metrics["saturated"] = float(
             (sampled[below_horizon] == sampled[below_horizon].max()).mean()
         )
-        if metrics["saturated"] > s.max_saturated_fraction:
+        if metrics["saturated"] > MAX_SATURATED_FRACTION:
             return ImageRejection.SATURATED
         metrics["gaps"] = max(metrics["gaps"], _missing_lines(image, below_horizon, metrics["lit"]))
-        if metrics["gaps"] > s.max_missing_fraction:
+        if metrics["gaps"] > MAX_MISSING_FRACTION:
             return ImageRejection.GAPS
-        if same > s.max_repeated_fraction:
+        if same > MAX_REPEATED_FRACTION:
             return ImageRejection.STUCK
         metrics["noise"] = _noise(image) / metrics["lit"]
-        return ImageRejection.NOISE if not metrics["noise"] <= s.max_noise else None
+        return ImageRejection.NOISE if not metrics["noise"] <= MAX_NOISE else None
 
     def _repeated_fraction(self, sampled: NDArray[Any], min_brightness: float) -> float:
         """Return the maximum fraction of lit pixels that repeat an earlier image.
 
-        The maximum is over horizontal bands of the image. `sampled` are the sampled pixels; those
-        of at least `min_brightness`, counts, are lit.
+        The maximum is over the last images and over bands of rows and of columns; bands in which
+        less than 20 % of the pixels are lit are skipped. `sampled` are the sampled pixels; those of
+        at least `min_brightness`, counts, are lit.
         """
         highest = 0.0
         bright = sampled >= min_brightness
@@ -336,6 +254,9 @@ class ImageQualityCheck:
     def after_detection(self, seen: Detections, turn: SunAngle, noise: float) -> ImageQuality:
         """Check an image, and the assumed Sun direction, by the detected shadows.
 
+        The result contains the first fault found: too much darkness, too few, blurred or bright
+        shadows, or a Sun direction that is contradicted or not confirmed.
+
         Parameters
         ----------
         seen
@@ -345,30 +266,27 @@ class ImageQualityCheck:
         noise
             Noise of a pixel relative to lit terrain, from `before_detection`.
         """
-        s = self.settings
         dark = float((seen.labels[::_PIXEL_STRIDE, ::_PIXEL_STRIDE] > 0).mean())
         figures = {"dark": dark, "shadows": float(len(seen))}
-        if dark > s.max_dark_fraction:
+        if dark > MAX_DARK_FRACTION:
             return ImageQuality(ImageRejection.DARK, figures)
         widths = edge_widths(seen, noise)
         figures |= {"width": widths.sharpest, "smear": widths.least_sharp_direction}
         figures |= {"turn": turn.angle, "turn_sigma": turn.sigma, "turn_side": turn.side}
-        if widths.number < s.min_shadows:
+        if widths.number < MIN_SHADOWS:
             return ImageQuality(ImageRejection.NO_SHADOWS, figures)
         fault = self._check_sharpness(widths)
         figures["shade"] = _shadow_brightness(seen)
-        if fault is None and figures["shade"] > s.max_shadow_brightness:
+        if fault is None and figures["shade"] > MAX_SHADOW_BRIGHTNESS:
             fault = ImageRejection.VEILED
         return ImageQuality(fault or self._check_sun(turn), figures)
 
     def _check_sharpness(self, widths: EdgeWidths) -> ImageRejection | None:
         """Return the fault of images with blurred shadow edges, or None."""
-        expected = EdgeWidths.expected(self.settings.blur_sigma)
-        if not widths.sharpest <= self.settings.max_edge_width_ratio * expected:
+        expected = EdgeWidths.expected(self.blur_sigma)
+        if not widths.sharpest <= MAX_EDGE_WIDTH_RATIO * expected:
             return ImageRejection.BLURRED
-        if not widths.least_sharp_direction <= self.settings.max_smear_ratio * max(
-            expected, MIN_WIDTH
-        ):
+        if not widths.least_sharp_direction <= MAX_SMEAR_RATIO * max(expected, MIN_WIDTH):
             return ImageRejection.SMEARED
         return None
 
@@ -377,15 +295,15 @@ class ImageQualityCheck:
 
         `turn` is the angle between shadows and their expected direction.
         """
-        s = self.settings
-        return turn.sigma <= s.turn_sigma and turn.side >= s.min_side_significance
+        return turn.sigma <= _MAX_ANGLE_SIGMA and turn.side >= _MIN_SIDE_SIGNIFICANCE
 
     def is_conclusive(self, turn: SunAngle) -> bool:
         """Return whether a shadow angle confirms or contradicts the Sun direction.
 
-        `turn` is the angle between shadows and their expected direction.
+        It does if it contradicts the direction, or if it is accurate and smaller than the angle of
+        a contradiction. `turn` is the angle between shadows and their expected direction.
         """
-        near = abs(turn.angle) < self.settings.contradict_angle
+        near = abs(turn.angle) < _CONTRADICT_ANGLE
         return self.contradicts(turn) or (self.is_accurate(turn) and near)
 
     def contradicts(self, turn: SunAngle) -> bool:
@@ -395,9 +313,8 @@ class ImageQualityCheck:
         direction but axes of patches do not, the axes belong to merged shadows and do not count.
         `turn` is the angle between shadows and their expected direction.
         """
-        s = self.settings
-        agrees = turn.high_sun or turn.agreement >= s.contradict_agreement
-        wrong_angle = s.high_sun_contradict_angle if turn.high_sun else s.contradict_angle
+        agrees = turn.high_sun or turn.agreement >= _CONTRADICT_AGREEMENT
+        wrong_angle = _HIGH_SUN_CONTRADICT_ANGLE if turn.high_sun else _CONTRADICT_ANGLE
         contradicted_by_faces = abs(turn.by_faces) < wrong_angle
         return (
             self.is_accurate(turn)
@@ -409,34 +326,37 @@ class ImageQualityCheck:
     def _check_sun(self, turn: SunAngle) -> ImageRejection | None:
         """Compare a shadow angle with the Sun direction; return a fault, or None.
 
-        Updates whether the Sun direction is confirmed. `turn` is the angle between shadows and
-        their expected direction.
+        The result is None if this image or an earlier one has confirmed the Sun direction, and
+        this image gives no reason against it. Updates whether the direction is confirmed. `turn`
+        is the angle between shadows and their expected direction.
         """
-        s = self.settings
         if self.contradicts(turn):
             self.sun.confirmed, self.sun.side = False, 0.0
             return ImageRejection.SUN_ELSEWHERE
         is_far = (
-            turn.side >= s.min_side_significance
-            and abs(turn.angle) - s.confirm_sigmas * turn.sigma > s.confirm_angle
+            turn.side >= _MIN_SIDE_SIGNIFICANCE
+            and abs(turn.angle) - _CONFIRM_SIGMAS * turn.sigma > CONFIRM_ANGLE
         )
-        if is_far or (self.is_accurate(turn) and abs(turn.angle) >= s.contradict_angle):
+        if is_far or (self.is_accurate(turn) and abs(turn.angle) >= _CONTRADICT_ANGLE):
             # Either craters and merged shadows cause this, or the Sun direction is wrong.
             self.sun.confirmed &= turn.side <= self.sun.side
             return ImageRejection.SUN_UNPROVEN
-        agrees = turn.high_sun or turn.agreement >= s.confirm_agreement
+        agrees = turn.high_sun or turn.agreement >= _CONFIRM_AGREEMENT
         is_proven = (self.is_accurate(turn) and agrees) or (
             turn.high_sun
-            and turn.side >= s.min_side_significance
-            and abs(turn.angle) + s.confirm_sigmas * turn.sigma <= s.max_confirmed_error
+            and turn.side >= _MIN_SIDE_SIGNIFICANCE
+            and abs(turn.angle) + _CONFIRM_SIGMAS * turn.sigma <= _MAX_CONFIRMED_ERROR
         )
-        if is_proven and abs(turn.angle) <= s.confirm_angle:
+        if is_proven and abs(turn.angle) <= CONFIRM_ANGLE:
             self.sun.confirmed, self.sun.side = True, max(self.sun.side, turn.side)
         return None if self.sun.confirmed else ImageRejection.SUN_UNPROVEN
 
 
 def _shadow_brightness(seen: Detections) -> float:
-    """Return the brightness of the darkest rock shadows relative to lit terrain."""
+    """Return the brightness of the darkest rock shadows relative to lit terrain.
+
+    It is infinite without a rock shadow.
+    """
     shaded = seen.relative[seen.rock > 0]
     at = int(_SHADE_QUANTILE * shaded.size)
     return float(np.partition(shaded, at)[at]) if shaded.size else np.inf
@@ -446,7 +366,7 @@ def _lit_brightness(pixels: NDArray[Any]) -> float:
     """Return the brightness of lit terrain among some pixels (n,), counts.
 
     Lit pixels have at least half of the brightness of the 90th percentile, also if most of the
-    image is dark.
+    image is dark. The result is 0 if nearly all pixels are black.
     """
     shown = pixels[pixels > _MAX_BLACK_COUNTS]
     if len(shown) < _MIN_LIT_FRACTION * len(pixels):
@@ -455,7 +375,7 @@ def _lit_brightness(pixels: NDArray[Any]) -> float:
 
 
 def _looks_down(view: View) -> BoolArray:
-    """Return which sampled pixels (rows, cols) are below the horizon."""
+    """Return which of the sampled pixels of a view are below the horizon (rows, cols)."""
     u = (np.arange(0, view.width, _PIXEL_STRIDE) - view.cx) / view.fx
     v = (np.arange(0, view.height, _PIXEL_STRIDE) - view.cy) / view.fy
     up = view.axes[2]
@@ -465,10 +385,10 @@ def _looks_down(view: View) -> BoolArray:
 def _missing_lines(image: NDArray[Any], below_horizon: BoolArray, lit: float) -> float:
     """Return the fraction of rows or columns of terrain that were not read out.
 
-    `below_horizon` marks the sampled pixels that show terrain, and `lit` is the
-    brightness of lit terrain, counts. Lines that were not read out repeat the previous line, which
-    never happens on lit terrain, or they are completely dark up to a straight end, which no shadow
-    has.
+    The larger of the two fractions is returned, 0 if the image shows no terrain. `below_horizon`
+    marks the sampled pixels that show terrain, and `lit` is the brightness of lit terrain, counts.
+    Lines that were not read out repeat the previous line, which never happens on lit terrain, or
+    they are completely dark up to a straight end, which no shadow has.
     """
     highest = 0.0
     for lines_first, below in ((image, below_horizon), (image.T, below_horizon.T)):
@@ -509,6 +429,7 @@ def _noise(image: NDArray[Any]) -> float:
 
     Uses the Laplacian of Immerkaer (1996, Computer Vision and Image Understanding 64), which is 0
     on a slope. Its lower quartile is insensitive to edges, also if they fill half of the image.
+    The result is 0 for images below 24 pixels per side.
     """
     h, w = image.shape
     if min(h, w) < 3 * _BAND_COUNT:

@@ -106,9 +106,9 @@ def _directions_of_rock(scene: RockOnPlane, sun: Array, camera: Array) -> tuple[
     """Return image directions of one rock: lit face to shadow, and long dark axis.
 
     The first points from the lit face to the black shadow; the second is the squared direction of
-    the long axis of the dark patch. Both are complex numbers, 0 where not visible. `sun` and
-    `camera` (3,) are directions. The Sun is in the north, so the direction to its left is west.
-    `scene` is the rock on a plane.
+    the long axis of the dark patch. Both are complex numbers in the terrain plane, 0 where not
+    visible; the real axis points towards the Sun. `sun` and `camera` (3,) are directions, with the
+    Sun in the north. `scene` is the rock on a plane.
     """
     place, brightness = _render(scene, sun, camera)
     dark = brightness < DARK
@@ -128,8 +128,9 @@ def _directions_of_rock(scene: RockOnPlane, sun: Array, camera: Array) -> tuple[
 def _render(scene: RockOnPlane, sun: Array, camera: Array) -> tuple[Complex, Array]:
     """Render a rock; return positions on the terrain and their brightness, both (n,).
 
-    `sun` and `camera` (3,) are directions. Positions are complex, and brightness is relative to
-    horizontal terrain and blurred. `scene` is the rock on a plane.
+    `sun` and `camera` (3,) are directions, with the Sun in the north; `scene` is the rock on a
+    plane. Positions are complex, north real and west imaginary, in rock radii. Brightness is
+    relative to horizontal terrain and blurred.
     """
     reach = shadow_reach(float(np.arcsin(sun[2])))
     shape, position, point, normal = visible_points_around_rock(

@@ -17,7 +17,8 @@ Model = TypeVar("Model", ShadowModel, ShapeMixture, ShadowModel | ShapeMixture)
 def model_on_plane(model: Model, plane: GroundPlane, sun: Array) -> Model:
     """Return the shadow model for coordinates in which a sloping plane is horizontal.
 
-    In these coordinates the Sun has another elevation above the plane.
+    In these coordinates the Sun has another elevation above the plane. For a horizontal plane,
+    `model` itself is returned.
 
     Parameters
     ----------

@@ -14,6 +14,9 @@ from lunarsim.typing import BoolArray
 
 # Reduction factor of the image for the brightness of lit terrain.
 _GROUND_SCALE = 8
+# Exponent of the gamma correction, which expands dark tones, and side of the neighbourhood for the
+# brightness of lit terrain, as a fraction of the image width.
+_GAMMA, _LIT_WINDOW = 0.7, 0.12
 # Reduction factor for the brightness of nearby slopes, and window in reduced pixels.
 _SLOPE_SCALE, _SLOPE_WINDOW = 4, 5
 # Minimum brightness of slopes, as a fraction of the way from shadow to lit terrain.
@@ -44,9 +47,10 @@ class Segmentation:
     brightness
         Gamma-corrected brightness relative to nearby lit terrain, 8 bits (height, width).
     relative
-        Brightness relative to the nearby slopes if they were lit (height, width).
+        Brightness relative to nearby slopes outside shadows (height, width).
     relative_to_lit_terrain
-        Brightness relative to nearby lit terrain including its slopes (height, width).
+        Brightness relative to lit terrain in a wider neighbourhood (height, width); lit slopes
+        differ from 1.
     left_out
         Mask of pixels that are not finite (height, width); None if all are finite.
     """
@@ -59,7 +63,7 @@ class Segmentation:
     left_out: BoolArray | None = None
 
 
-def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Segmentation:
+def segment(image: ArrayLike) -> Segmentation:
     """Find the shadowed pixels of an image.
 
     The image is divided by the brightness of nearby lit terrain, then by that of nearby slopes, and
@@ -71,10 +75,6 @@ def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Se
     ----------
     image
         Counts or radiance (height, width); NaN for invalid pixels.
-    gamma
-        Exponent of the gamma correction; values below 1 expand dark tones.
-    window
-        Side of the neighbourhood for lit terrain, as a fraction of the image's width.
 
     Raises
     ------
@@ -87,15 +87,13 @@ def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Se
         raise InputError("image", raw.dtype, problem, show_value=False)
     if raw.ndim != 2 or raw.size == 0:
         raise InputError("image", raw.shape, "must have shape (height, width) and contain pixels")
-    if not (np.isfinite(gamma) and gamma > 0.0):
-        raise InputError("gamma", gamma, "must be positive and finite")
     valid = np.isfinite(raw) if raw.dtype.kind == "f" else np.ones(raw.shape, bool)
     grey = raw.astype(np.float32)
     if not valid.all():
         if not valid.any():
             return _no_shadows(raw.shape, ~valid)
         grey = np.where(valid, grey, np.float32(np.median(grey[valid])))
-    lit = lit_terrain_brightness(grey, window)
+    lit = lit_terrain_brightness(grey)
     left_out = None if valid.all() else ~valid
     if not lit.max() > 0.0:
         return _no_shadows(raw.shape, left_out)
@@ -106,29 +104,29 @@ def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Se
     levels = _brightness_levels(ratio)
     if levels is None:
         none = np.zeros(raw.shape, np.uint8)
-        return Segmentation(none, none, _gamma_corrected(ratio, gamma), ratio, ratio, left_out)
+        return Segmentation(none, none, _gamma_corrected(ratio), ratio, ratio, left_out)
     relative = cv2.divide(ratio, _slope_brightness(ratio, *levels))
     dark, deep = _shadow_masks(relative, ratio, *levels)
     if left_out is not None:
         dark[left_out] = 0
-    return Segmentation(dark, deep, _gamma_corrected(relative, gamma), relative, ratio, left_out)
+    return Segmentation(dark, deep, _gamma_corrected(relative), relative, ratio, left_out)
 
 
 def _no_shadows(shape: tuple[int, ...], left_out: BoolArray | None) -> Segmentation:
-    """Return a segmentation without shadows for an image of a shape.
+    """Return a segmentation without shadows for an image of a given shape.
 
-    `left_out` marks the pixels that are not finite.
+    `shape` is (height, width); all brightness values are 0. `left_out` marks the pixels that are
+    not finite.
     """
     none = np.zeros(shape, np.uint8)
     black = none.astype(np.float32)
     return Segmentation(none, none, none, black, black, left_out)
 
 
-def lit_terrain_brightness(grey: NDArray[np.float32], window: float) -> NDArray[np.float32]:
+def lit_terrain_brightness(grey: NDArray[np.float32]) -> NDArray[np.float32]:
     """Estimate the brightness of lit terrain around each pixel (height, width).
 
-    `grey` (height, width) is the image and `window` the side of the neighbourhood as a fraction of
-    the image's width.
+    `grey` (height, width) is the image.
     """
     height, width = grey.shape
     small = cv2.resize(
@@ -136,7 +134,7 @@ def lit_terrain_brightness(grey: NDArray[np.float32], window: float) -> NDArray[
         (max(width // _GROUND_SCALE, 1), max(height // _GROUND_SCALE, 1)),
         interpolation=cv2.INTER_AREA,
     )
-    side = max(3, int(window * small.shape[1]) | 1)
+    side = max(3, int(_LIT_WINDOW * small.shape[1]) | 1)
     # Only bright pixels count, so that a window mostly in shadow is represented by its lit part.
     smooth = cv2.blur(small, (side, side), borderType=cv2.BORDER_REFLECT)
     bright = np.where(small >= 0.8 * smooth, small, np.float32(0.0))
@@ -150,10 +148,10 @@ def lit_terrain_brightness(grey: NDArray[np.float32], window: float) -> NDArray[
     return np.asarray(cv2.resize(known, (width, height), interpolation=cv2.INTER_LINEAR))
 
 
-def _gamma_corrected(ratio: NDArray[np.float32], gamma: float) -> NDArray[np.uint8]:
+def _gamma_corrected(ratio: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Return a gamma-corrected 8-bit image of the relative brightness `ratio`."""
     scaled = cv2.convertScaleAbs(ratio, alpha=170.0)
-    table = np.rint(255.0 * (np.arange(256) / 255.0) ** gamma).astype(np.uint8)
+    table = np.rint(255.0 * (np.arange(256) / 255.0) ** _GAMMA).astype(np.uint8)
     return np.asarray(cv2.LUT(scaled, table))
 
 
@@ -216,10 +214,12 @@ def _slope_brightness(ratio: NDArray[np.float32], core: float, lit: float) -> ND
 def _shadow_masks(
     relative: NDArray[np.float32], ratio: NDArray[np.float32], core: float, lit: float
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return masks of shadow, and of pixels below half brightness (height, width).
+    """Return masks of shadow and of deep shadow, 0 or 1 and 0 or 255 (height, width).
 
-    `relative` and `ratio` (height, width) are the brightness relative to nearby slopes and to lit
-    terrain; `core` and `lit` are the brightness of shadow and of lit terrain.
+    Pixels of deep shadow are darker than half way from shadow to lit terrain; the first mask also
+    has brighter pixels of small shadows. `relative` and `ratio` (height, width) are the brightness
+    relative to nearby slopes and to lit terrain; `core` and `lit` are the brightness of shadow and
+    of lit terrain.
     """
     core, darkest = core / lit, core + _MIN_SLOPE_LEVEL * (lit - core)
 

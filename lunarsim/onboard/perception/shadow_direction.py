@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.perception import _image_quality_kernels as kernels
-from lunarsim.onboard.perception.detector import Detections, DetectorSettings
+from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.high_sun_direction import high_sun_angle, more_accurate_angle
 from lunarsim.onboard.perception.lit_faces import LEAST_ELEVATION
 from lunarsim.onboard.perception.segmentation import lit_terrain_brightness
@@ -78,7 +78,7 @@ def shadow_directions(image: ArrayLike, seen: Detections, rocks: IntArray | None
     """
     grey = np.asarray(image, dtype=np.float64)
     check_shape("image", grey, seen.labels.shape, "like the image of the detections")
-    relative = grey / lit_terrain_brightness(grey.astype(np.float32), DetectorSettings().window)
+    relative = grey / lit_terrain_brightness(grey.astype(np.float32))
     index = np.arange(len(seen)) if rocks is None else rocks
     out = np.full((len(index), 2), np.nan)
     for n, rock in enumerate(index):
@@ -162,8 +162,9 @@ def _select_angle(by_faces: SunAngle, by_axes: SunAngle, faces: NDArray[np.compl
     """Return the angle from patch axes, unless many consistent faces contradict it.
 
     `by_faces` and `by_axes` are the two angles, `faces` (n,) the unit vectors of the single faces.
-    Axes can be wrong: from far and from the side, shadows of rocks behind each other merge, and on
-    slopes the shadows of the terrain itself are long.
+    If the faces contradict the axes, the angle from faces is returned. Axes can be wrong: from far
+    and from the side, shadows of rocks behind each other merge, and on slopes the shadows of the
+    terrain itself are long.
     """
     difference = abs(np.angle(np.exp(1j * (by_faces.angle - by_axes.angle))))
     agreement = abs(faces.mean())
@@ -186,8 +187,8 @@ def _face_angle(faces: NDArray[np.complex128]) -> SunAngle:
 def _sun_angle(faces: NDArray[np.complex128], angle: float, sigma: float) -> SunAngle:
     """Combine an angle with the significance of the side on which lit faces lie.
 
-    `faces` (n,) are unit vectors of single faces; `angle` and its standard deviation `sigma` are in
-    rad.
+    `faces` (n,) are unit vectors of single faces; `angle` and its standard deviation `sigma` are
+    in rad. An infinite deviation gives an unknown angle.
     """
     if not np.isfinite(sigma):
         return SunAngle(float("nan"), float("inf"), 0.0, len(faces))
@@ -204,8 +205,8 @@ def _axis_errors(
     """Return twice the angles from the expected to the measured patch axes (n,).
 
     They are the angles of complex vectors, whose length grows with expected and measured
-    elongation. `points` are the positions of the rocks, m, and `sun` (3,) is the assumed direction
-    towards the Sun, ENU.
+    elongation. Small patches (q below 4) and those expected to be round are omitted. `points` are
+    the positions of the rocks, m, and `sun` (3,) is the assumed direction towards the Sun, ENU.
     """
     at = np.flatnonzero((seen.q >= _MIN_AXIS_Q) & np.isfinite(points).all(1))
     azimuth, depression = viewing_angles(view, points[at], sun)
@@ -226,10 +227,11 @@ def _face_errors(
 ) -> tuple[NDArray[np.complex128], BoolArray]:
     """Return the angles from expected to measured face directions as unit vectors.
 
-    A face direction points from the lit face of a rock to its dark patch. The vectors (n,) are
-    complex; the second result (n,) is whether the shadow is large enough to separate a face from
-    bright terrain. `points` are the positions of the rocks, m, `sun` (3,) is the assumed direction
-    towards the Sun, ENU, and `threshold` the excess over lit terrain of bright pixels.
+    A face direction points from the lit face of a rock to its dark patch; rocks without a separate
+    lit face are omitted. The vectors (n,) are complex; the second result (n,) is whether the
+    shadow is large enough to separate a face from bright terrain. `points` are the positions of
+    the rocks, m, `sun` (3,) is the assumed direction towards the Sun, ENU, and `threshold` the
+    excess over lit terrain of bright pixels.
     """
     ring = cv2.dilate(seen.rock, np.ones((2 * _RING_PX + 1, 2 * _RING_PX + 1), np.uint8))
     sums = kernels.sum_dark_and_bright(
@@ -276,7 +278,7 @@ def mean_direction(directions: Array) -> tuple[float, float, int]:
 
     `directions` (n, 2) are vectors; NaN is ignored. Angles are in radians from the first axis
     towards the second. The interval is that of a mean with the observed spread (median absolute
-    deviation).
+    deviation). With fewer than three directions, angle and interval are NaN.
     """
     good = directions[np.isfinite(directions).all(1)]
     if len(good) < 3:

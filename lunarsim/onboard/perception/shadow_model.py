@@ -54,7 +54,7 @@ class ShadowPatch:
     Attributes
     ----------
     along, side
-        Mean position (...).
+        Mean position along the azimuth of the Sun and across it, to the left (...).
     length, width
         Sides of the rectangle along the Sun with the same variances (...). End-to-end extents would
         depend on single pixels.

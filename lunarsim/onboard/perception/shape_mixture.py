@@ -170,9 +170,10 @@ class ShapeMixture:
 
     @property
     def shadowless_fraction(self) -> float:
-        """Fraction of the rocks without any dark area under this Sun.
+        """Fraction of the rocks that have no dark area at this Sun elevation.
 
-        They cannot be observed, so all rocks except cubes are taken as faceted.
+        Such rocks cannot be observed, so their shapes cannot either: all rocks except cubes are
+        taken as faceted.
         """
         return float(self.shape_fractions @ self._shadowless)
 
@@ -187,12 +188,18 @@ class ShapeMixture:
 
     @property
     def radius_sigma(self) -> float:
-        """Uncertainty of a radius that remains for any number of observations, in radii."""
+        """Standard deviation of a radius that more observations do not reduce, in radii.
+
+        It is due to the unknown shape of a rock, a mean over the shapes.
+        """
         return self._mean("radius_sigma")
 
     @property
     def centre_sigma(self) -> float:
-        """Uncertainty of a centre that remains for any number of observations, in radii."""
+        """Standard deviation of a centre that more observations do not reduce, in radii.
+
+        It is per axis and due to the unknown shape of a rock, a mean over the shapes.
+        """
         return self._mean("centre_sigma")
 
     @property
@@ -224,7 +231,9 @@ class ShapeMixture:
         """Return q, the square root of the number of dark pixels of a rock's patch (...).
 
         `radius` is that of the rocks, m, and `pixel` the size of a pixel across the line of sight
-        at the rock, m. `azimuth` and `depression`, rad, are those of `patch`.
+        at the rock, m. `azimuth` is that of the camera from the rock minus that of the Sun, and
+        `depression` that of the line of sight, rad. All are (...); the patch is the mean over the
+        shapes.
         """
         # Terrain above the camera is not visible.
         area = self.patch(azimuth, depression).area * np.sin(np.maximum(depression, 0.0))

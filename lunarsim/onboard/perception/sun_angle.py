@@ -66,8 +66,8 @@ class SunAngle:
 def mean_angle(vectors: Complex) -> tuple[float, float]:
     """Return the angle of the mean of complex vectors (n,) and its error, rad.
 
-    The error is the standard deviation. The results are NaN and infinite if the mean is not
-    significant.
+    The error is the standard deviation. The results are NaN and infinite if there are fewer than
+    three vectors, or if their mean is not significant.
     """
     n = len(vectors)
     if n < 3:
@@ -85,8 +85,9 @@ def mean_angle(vectors: Complex) -> tuple[float, float]:
 def doubled_axes(length: Array, width: Array, skew: Array) -> Complex:
     """Return the axes of dark patches (n,) as complex vectors at twice their angle.
 
-    Angles are measured from the Sun. `length`, `width` (n,), m, and `skew` (n,), m^2, describe the
-    patches as in `Detections`. The length of a vector is 0 for a round patch and 1 for a line.
+    Angles are measured from the Sun, counterclockwise from above. `length`, `width` (n,), m, and
+    `skew` (n,), m^2, describe the patches as in `Detections`. The length of a vector is 0 for a
+    round patch and 1 for a line.
     """
     along, across = length**2 / 12.0, width**2 / 12.0
     return np.asarray((along - across + 2j * skew) / np.maximum(along + across, 1e-12))
@@ -95,7 +96,8 @@ def doubled_axes(length: Array, width: Array, skew: Array) -> Complex:
 def local_relative_brightness(seen: Detections) -> NDArray[np.float32]:
     """Return the brightness of an image relative to lit pixels nearby (height, width).
 
-    A slope is no brighter than its surroundings, but the face of a rock is.
+    Pixels within a window of 7 pixels count that are in no dark patch. Unlike the face of a rock,
+    a slope is no brighter than its surroundings.
     """
     lit = (seen.labels == 0).astype(np.float32)
     side, few = (_FACE_WINDOW_PX, _FACE_WINDOW_PX), np.float32(0.02)
@@ -104,9 +106,11 @@ def local_relative_brightness(seen: Detections) -> NDArray[np.float32]:
 
 
 def viewing_angles(view: View, points: Array, sun: Array) -> tuple[Array, Array]:
-    """Return the camera's azimuth from the Sun and the depression of points (n,), rad.
+    """Return the camera's azimuth from the Sun and the depression at points, rad.
 
-    `points` (n, 3) are on the terrain, m, and `sun` (3,) is the direction towards the Sun.
+    Both are (n,): the azimuth of the camera, seen from the point, minus that of the Sun, clockwise
+    from above; and the angle of the line of sight below the horizon. `points` (n, 3) are on the
+    terrain, m, and `sun` (3,) is the direction towards the Sun.
     """
     line_of_sight = points - view.position
     azimuth = np.arctan2(-line_of_sight[:, 0], -line_of_sight[:, 1]) - np.arctan2(sun[0], sun[1])

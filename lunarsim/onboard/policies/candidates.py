@@ -22,10 +22,12 @@ SAFETY_LEVELS = (0.99, 0.95, 0.8, 0.5)
 def proposed_cells(
     aim: FloatMap, grid: Grid, site: Array, count: int, separation: float
 ) -> tuple[IntArray, list[str]]:
-    """Return the safest cells, and the nearest cell at each level of `SAFETY_LEVELS`.
+    """Select the safest cells, and the nearest cell at each safety level.
 
-    Fewer cells are returned if no others have a positive probability. Of equally safe cells, the
-    nearer one is preferred.
+    For each level of `SAFETY_LEVELS`, the cell nearest to the current site with at least this
+    probability is added, if there is one and it is not selected yet. Fewer than `count` safest
+    cells are returned if no others have a positive probability. Of equally safe cells, the nearer
+    one is preferred.
 
     Parameters
     ----------
@@ -171,10 +173,12 @@ def _replace_unreachable(
 def _proposed_sites(
     hazard_map: HazardMap, aim: FloatMap, site: Array, count: int, separation: float, mapper: str
 ) -> tuple[Array, list[str]]:
-    """Return the safest and the nearest safe sites (n, 3), m, and the rule of each.
+    """Return the safest and the nearest safe sites (n, 3), m, and the source of each.
 
-    `aim` is the probability of safe terrain at each cell; `site` is the current site (3,), m;
-    `count` and `separation` (m) are those of the safest sites.
+    A source is "MAPPER: RULE", with the rules of `proposed_cells`. `aim` (rows, cols) is the
+    probability of safe terrain at each cell; `site` is the current site (3,), m; `count` and
+    `separation` (m) are those of the safest sites. Cells that the mission excludes are not
+    selected.
     """
     grid = hazard_map.grid
     if hazard_map.eligible is not None:
@@ -186,7 +190,7 @@ def _proposed_sites(
 def _eligible_ranked(hazard_map: HazardMap, scoreboard: Scoreboard | None) -> tuple[Array, Array]:
     """Return the mapper's ranked sites that the mission allows, and their scores.
 
-    Positions are (n, 3), m; scores are (n,).
+    Positions are (n, 3), m; scores are (n,). Without a scoreboard, n is 0.
     """
     if scoreboard is None:
         return np.zeros((0, 3)), np.zeros(0)

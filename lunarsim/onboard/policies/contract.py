@@ -20,9 +20,9 @@ from lunarsim.value_checks import check_elements
 
 @dataclass(frozen=True)
 class Candidates:
-    """Candidate landing sites, safest first, without the site currently flown to.
+    """Candidate landing sites, safest first.
 
-    The mission allows a landing at each of them.
+    The mission allows a landing at each of them. The cell of the current site can be among them.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Candidates:
     Raises
     ------
     InputError
-        If lengths differ, or a probability, distance, cost or value is NaN or out of range.
+        If lengths differ, or a probability, distance, propellant or value is NaN or out of range.
     """
 
     position: Array

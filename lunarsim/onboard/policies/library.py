@@ -16,6 +16,7 @@ from lunarsim.parts.quantity import hidden, quantity
 
 
 def _fly_to(observation: Observation, index: int, reason: str) -> Decision:
+    """Return the decision to divert to a candidate, given by its index in the list."""
     c = observation.candidates
     return Decision(
         c.position[index],
@@ -68,7 +69,11 @@ class Safest:
     name: str = hidden("safest")
 
     def decide(self, observation: Observation) -> Decision:
-        """Return a divert to the best reachable candidate if it beats the current site."""
+        """Return a divert to the best reachable candidate if it beats the current site.
+
+        The score of a site is the log odds of its p_safe plus weighted mission value. The current
+        site is kept if the score gains less than `hysteresis`, or if no candidate is reachable.
+        """
         c = observation.candidates
         if not c.reachable.any():
             return Decision.keep("no site within reach")
@@ -208,9 +213,10 @@ class ScoreboardChoice:
     name: str = hidden("scoreboard")
 
     def decide(self, observation: Observation) -> Decision:
-        """Return a divert to the best-ranked reachable site (lowest score).
+        """Return a divert to the reachable ranked site with the lowest cost.
 
-        The current site is kept unless the score improves by at least `hysteresis`.
+        The cost is the mapper's score plus weighted propellant. The current site is kept if the
+        cost decreases by less than `hysteresis`, or if no ranked site is reachable.
         """
         c = observation.candidates
         if observation.scoreboard is None:
@@ -280,7 +286,7 @@ class SafestOrAbort(Safest):
 
 
 def _site_p_safe(observation: Observation) -> float:
-    """Return p_safe of the current site; 0 if the mission excludes the site."""
+    """Return p_safe of the current site: 0 if the mission excludes it, NaN if unknown."""
     return observation.site_p_safe if observation.site_eligible else 0.0
 
 

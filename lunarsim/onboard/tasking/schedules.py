@@ -19,6 +19,10 @@ _DOWN = np.array([0.0, 0.0, -1.0])
 
 
 def _check_rate(sensor: str, key: str, rate: float, briefing: Briefing) -> None:
+    """Raise InputError if a rate (Hz) exceeds one measurement per control cycle.
+
+    `sensor` and `key` name the scenario key in the error.
+    """
     if rate * briefing.cycle > 1.0 + 1e-9:
         raise InputError(
             f"tasking.{sensor}.{key}",
@@ -32,8 +36,9 @@ def _next_due(due: float, now: float, interval: float) -> float:
     """Return the due time of the next measurement, s, after one at the time `now`.
 
     `due` is the time at which the current measurement was due, and `interval` the time between
-    measurements, s. A delay of less than one interval is made up, so that a rate that does not
-    divide the cycle rate is kept on average. After a pause, the schedule restarts.
+    measurements, s. The result is one interval after `due`, so that the mean rate is kept although
+    a measurement waits for the end of a cycle. If this time has passed, the result is one interval
+    after `now`.
     """
     return due + interval if now < due + interval else now + interval
 

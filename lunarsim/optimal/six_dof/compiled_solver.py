@@ -33,6 +33,8 @@ def find_compiler() -> str | None:
 def compiled_library(name: str, build_solver: Callable[[], Any]) -> Path:
     """Compile the functions of a CasADi solver to a library, or find it in the cache.
 
+    The result is the path of the library.
+
     Parameters
     ----------
     name
@@ -72,6 +74,7 @@ def compiled_library(name: str, build_solver: Callable[[], Any]) -> Path:
 
 
 def _compile(compiler_path: str, source: Path, library: Path) -> None:
+    """Compile a C file to a shared library; raise SolverError if that fails."""
     process = subprocess.run(
         [compiler_path, *_FLAGS, "-o", str(library), str(source), "-lm"],
         capture_output=True, text=True, check=False,

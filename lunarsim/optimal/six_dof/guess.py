@@ -52,7 +52,7 @@ def initial_guess(descent: RigidDescent, intervals: int) -> InitialGuess:
     """Return a guess from the minimum-propellant path of a point mass.
 
     Body z is along the thrust, and yaw is that of the start. Rates and torques are differences of
-    the attitude.
+    the attitude. `intervals` is the number of intervals of the guess.
 
     Raises
     ------
@@ -86,12 +86,14 @@ def initial_guess(descent: RigidDescent, intervals: int) -> InitialGuess:
 
 
 def remaining_guess(path: RigidPath, elapsed: float) -> InitialGuess:
-    """Return the rest of a path after `elapsed` s as a guess, with as many intervals.
+    """Return the part of a path after `elapsed` s as an initial guess.
+
+    It is divided into the same number of intervals as the complete path.
 
     Raises
     ------
     InputError
-        If no time is left.
+        If `elapsed` is negative, or at least the duration of the path.
     """
     n, left = len(path.thrust), path.duration - elapsed
     if not 0.0 <= elapsed < path.duration:
@@ -109,7 +111,10 @@ def remaining_guess(path: RigidPath, elapsed: float) -> InitialGuess:
 
 
 def _align_with_thrust(thrust_direction: Array, start: Rotation) -> Rotation:
-    """Return attitudes with body z along vectors (K, 3) and the initial yaw."""
+    """Return attitudes with body z along vectors (K, 3) and the initial yaw.
+
+    The first attitude is `start` itself.
+    """
     up = thrust_direction / np.linalg.norm(thrust_direction, axis=1, keepdims=True)
     heading = start.apply([1.0, 0.0, 0.0])
     y = np.cross(up, heading)

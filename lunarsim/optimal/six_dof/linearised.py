@@ -35,7 +35,7 @@ class LinearisedPath:
         Scaled states at the nodes (n + 1, 15), scaled commands in the intervals (n, 4), and scaled
         length of an interval.
     values, tangents
-        Values and derivatives for each interval, from `linearise_intervals`.
+        Values (n, 35) and derivatives (n, 35, 20) for each interval, from `linearise_intervals`.
     violation
         Sum of the constraint violations.
     """

@@ -59,7 +59,11 @@ def vehicle_parameters(descent: RigidDescent, units: Units) -> Array:
 
 
 def _rates(y: Any, thrust: Any, torque: Any, p: Any) -> Any:
-    """Return d/dt of position, velocity, attitude, rate and mass (14,)."""
+    """Return d/dt of position, velocity, attitude, rate and mass (14,).
+
+    All are scaled CasADi expressions: `y` is the state, `thrust` acts along body z, `torque` (3,)
+    about the body axes, and `p` is from `vehicle_parameters`.
+    """
     qx, qy, qz, qw = (y[6 + k] for k in range(4))
     w = y[10:13]
     push = thrust / y[13]
@@ -140,7 +144,8 @@ def limit_parameters(descent: RigidDescent, units: Units) -> Array:
     """Return the parameters of the path constraints (8,), without units.
 
     They are cosine of the maximum tilt, squared maximum rate, glideslope (tangent), depth of its
-    apex, sensor boresight (3) and cosine of the half field of view.
+    apex, sensor boresight (3) and cosine of the half field of view; placeholders for limits that
+    are None.
     """
     d = descent
     axis = np.array([0.0, 0.0, -1.0]) if d.sight is None else d.sight.axis

@@ -58,7 +58,8 @@ class ConstraintViolations:
     final_tilt, final_rate
         Final tilt and angular rate, rad and rad/s.
     tilt, rate, slope, sight
-        Maximum violation of each limit, rad, rad/s, m and rad; 0 or less: satisfied.
+        Maximum violation of the limits of tilt (rad), angular rate (rad/s), glideslope (m) and line
+        of sight (rad); 0 or less: satisfied; -inf: no such limit.
     """
 
     miss: float

@@ -165,7 +165,7 @@ class RigidDescent:
                 object.__setattr__(self, name, given)
         if not (self.sight is None or isinstance(self.sight, SiteVisibility)):
             raise InputError("optimal.sight", type(self.sight), "must be a SiteVisibility or None")
-        self._check_figures()
+        self._check_values()
         try:
             _ = self.start_vector
         except (AttributeError, TypeError, ValueError):
@@ -189,7 +189,8 @@ class RigidDescent:
             )  # fmt: skip
         self._check_start()
 
-    def _check_figures(self) -> None:
+    def _check_values(self) -> None:
+        """Raise InputError if thrust range, gravity, a fraction, angle or rate is invalid."""
         low, high = self.lander.thrust_min, self.lander.thrust_max
         given = (self.thrust_min, self.thrust_max)
         if not (

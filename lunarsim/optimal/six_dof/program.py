@@ -53,7 +53,11 @@ class QuadraticProgram:
 
 
 class _SparsePattern:
-    """Sparsity pattern that builds CSC matrices from entries in another order."""
+    """Sparsity pattern that builds CSC matrices from entries in another order.
+
+    `rows` and `columns` (n,) are the indices of the entries, in the order in which `matrix` gets
+    their values.
+    """
 
     def __init__(self, rows: Array, columns: Array, shape: tuple[int, int]) -> None:
         order = sparse.coo_matrix(
@@ -63,7 +67,7 @@ class _SparsePattern:
         self._matrix = order
 
     def matrix(self, values: Array) -> Any:
-        """Return the CSC matrix of this pattern with given entries."""
+        """Return the CSC matrix of this pattern with the entries `values` (n,)."""
         m = self._matrix
         return sparse.csc_matrix((values[self._order], m.indices, m.indptr), shape=m.shape)
 
@@ -109,6 +113,7 @@ class ProgramLayout:
         return r, c, c >= 0
 
     def _equalities(self) -> _SparsePattern:
+        """Return the sparsity pattern of motion and final state."""
         n = self.n
         r, c, keep = self._block_indices(STATES)
         nodes = np.arange(STATES * n)
@@ -122,6 +127,7 @@ class ProgramLayout:
         return _SparsePattern(rows, columns, (STATES * n + len(_FIXED_AT_END), self.count))
 
     def _inequalities(self) -> _SparsePattern:
+        """Return the sparsity pattern of path constraints and bounds of variables."""
         n = self.n
         r, c, keep = self._block_indices(_STEPS * LIMITS)
         first_row = _STEPS * LIMITS * n

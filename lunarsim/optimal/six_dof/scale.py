@@ -64,12 +64,16 @@ class Scale:
         )
 
     def _scaled(self, states: Array) -> Array:
+        """Return states (..., 15) relative to the end, divided by their scales."""
         moved = states.copy()
         moved[..., :3] -= self.descent.end_position
         return np.asarray(moved / state_units(self.units))
 
     def scaled_variables(self, guess: InitialGuess) -> Array:
-        """Return the scaled variables of a guess in one vector."""
+        """Return the scaled variables of a guess in one vector.
+
+        They are the states at the nodes, the commands in the intervals, and the final time.
+        """
         controls = np.column_stack((guess.thrust, guess.torque)) / self.max_control
         return np.concatenate(
             (self._scaled(guess.states).ravel(), controls.ravel(),

@@ -37,9 +37,10 @@ def rock_feet(rocks, reach, z, x0, y0, p):
 
 @kernel(exact=True)
 def _half_sides(rocks, n, reach):
-    """Return half of the sides of the rectangle around rock n's outline, four numbers.
+    """Return half of the side vectors of the rectangle around rock n's outline.
 
-    The numbers s0 to s3, m, are the vectors (s0, s1) and (-s2, s3), east and north.
+    The result is four numbers s0 to s3, m: the vectors are (s0, s1) and (-s2, s3), east and north.
+    `reach` (n,) are the radii of the outlines, m.
     """
     scale = reach[n] / max(rocks[n, 3], rocks[n, 4])
     e = rocks[n, 3] * scale
@@ -49,10 +50,12 @@ def _half_sides(rocks, n, reach):
 
 @kernel()
 def _write_pixel_box(u0, v0, u1, v1, width, height, box, m):
-    """Write the box of pixels centred in a rectangle into `box[m]`; return if any.
+    """Write the box of the pixels whose centres lie in a rectangle into `box[m]`.
 
-    The rectangle spans columns u0 to u1 and rows v0 to v1 of an image of `width` x `height`.
-    Centres are at integers. A margin of 0.005 pixels covers rounding of float32 in the shader.
+    The rectangle spans columns u0 to u1 and rows v0 to v1 of an image of `width` x `height`. The
+    box is minimum column, minimum row, maximum column and maximum row. Returns False if it contains
+    no pixel; `box[m]` is then meaningless. Centres are at integers. A margin of 0.005 pixels allows
+    for rounding of float32 in the shader.
     """
     u0 = max(np.ceil(u0 - 0.005), 0.0)
     v0 = max(np.ceil(v0 - 0.005), 0.0)
@@ -69,11 +72,14 @@ def _write_pixel_box(u0, v0, u1, v1, width, height, box, m):
 def visible_rocks(
     rocks, reach, foot, rock_indices, viewpoint, to_sensor, fx, fy, cx, cy, width, height, near
 ):
-    """Return boxes of pixels (m, 4) that rocks may cover, and which have any (m,).
+    """Return the pixel box of each tested rock, and whether it contains a pixel.
 
-    `rocks`, `reach` and `foot` are those of `RockTiles`; `rock_indices` (m,) selects the rocks.
-    `viewpoint` (3,) is the camera, `to_sensor` (3, 3) the rotation from ENU, `fx` to `cy` are the
-    focal lengths and principal point, and `near` is the minimum depth, m.
+    The boxes (m, 4) contain all pixels that a rock may cover: minimum column, minimum row, maximum
+    column and maximum row. The flags (m,) are False for rocks that cover no pixel; their boxes are
+    undefined. `rocks`, `reach` and `foot` are those of `RockTiles`; `rock_indices` (m,) selects the
+    rocks. `viewpoint` (3,) is the camera, `to_sensor` (3, 3) the rotation from ENU, `fx` to `cy`
+    are the focal lengths and principal point, `width` x `height` is the image size, pixels, and
+    `near` the minimum depth, m.
     """
     count = rock_indices.size
     seen = np.zeros(count, np.bool_)
@@ -170,13 +176,16 @@ def shadow_casting_rocks(
     lower_bound,
     upper_bound,
 ):
-    """Return boxes of texels (m, 4) that rocks may shadow, and which are needed (m,).
+    """Return the texel box of each tested rock, and whether the image reads it.
 
-    `rocks`, `reach` and `foot` are those of `RockTiles`; `rock_indices` (m,) selects the rocks.
-    `viewpoint` (3,) is the camera. `lean` (2,) is the displacement of the Sun's rays per metre of
-    height, `axes` (2, 2) transforms ENU to the axes of the shadow map, `corner` is the map's corner
-    in these axes, m, and `texel` the side of a texel, m. Texels outside the strips of
-    `ShadowMapReads` (`normal`, `lower_bound`, `upper_bound`) are not needed.
+    The boxes (m, 4) contain all texels of the shadow map that a rock may shadow: minimum column,
+    minimum row, maximum column and maximum row. The flags (m,) are False for rocks that shadow no
+    texel that the image reads. `rocks`, `reach` and `foot` are those of `RockTiles`; `rock_indices`
+    (m,) selects the rocks. `viewpoint` (3,) is the camera. `lean` (2,) is the displacement of the
+    Sun's rays per metre of height, `axes` (2, 2) transforms ENU to the axes of the shadow map,
+    `corner` is the map's corner in these axes, m, and `texel` the side of a texel, m; the map has
+    `width` x `height` texels. The image reads the strips of `ShadowMapReads` (`normal`,
+    `lower_bound`, `upper_bound`) and the border of the map.
     """
     count = rock_indices.size
     seen = np.zeros(count, np.bool_)
@@ -234,8 +243,9 @@ def select_boxes(box, rock_indices, drawn):
 def box_corners(box, rock_indices, selected):
     """Return the corners of the selected boxes, with the rock's index, for OpenGL.
 
-    Rows (4 m, 3), float32: column, row and rock index of the corners lower left, lower right, upper
-    left, upper right of each box. Columns and rows are relative to the image's corner.
+    `selected` (k,) are positions in `box` (m, 4) and `rock_indices` (m,). The result (4 k, 3),
+    float32, has column, row and rock index of the corners lower left, lower right, upper left and
+    upper right of each box. Columns and rows are relative to the image's corner.
     """
     out = np.empty((4 * selected.size, 3), np.float32)
     for m in range(selected.size):

@@ -45,8 +45,10 @@ def tile_bounds(rocks, reach, foot, order, start):
 def tiles_in_view(low, high, radius, viewpoint, to_sensor, fx, fy, cx, cy, width, height, near):
     """Return which tiles (t,) may contain a rock that is visible in an image.
 
-    `low`, `high` (t, 3) and `radius` (t,) are bounds of the tiles, `viewpoint` (3,) is the camera,
-    `to_sensor` (3, 3) the rotation from ENU, and `near` the minimum depth, m.
+    `low`, `high` (t, 3) and `radius` (t,) are bounds of the tiles, as from `tile_bounds`.
+    `viewpoint` (3,) is the camera, `to_sensor` (3, 3) the rotation from ENU, `fx` to `cy` are the
+    focal lengths and principal point, `width` x `height` is the image size, pixels, and `near` the
+    minimum depth, m.
     """
     count = low.shape[0]
     kept = np.zeros(count, np.bool_)
@@ -88,8 +90,9 @@ def tiles_in_view(low, high, radius, viewpoint, to_sensor, fx, fy, cx, cy, width
 def tiles_that_shade(low, high, margin, viewpoint, lean, axes, corner, texel, width, height):
     """Return which tiles (t,) may contain a rock that casts shadows onto a shadow map.
 
-    `low`, `high` (t, 3) and `margin` (t,) are bounds of the tiles; the map is given by `lean`,
-    `axes`, `corner` and `texel` of `ShadowFrame`, and has `width` x `height` texels.
+    `low`, `high` (t, 3) and `margin` (t,) are bounds of the tiles, as from `tile_bounds`;
+    `viewpoint` (3,) is the camera. The map is given by `lean`, `axes`, `corner` and `texel` of
+    `ShadowFrame`, and has `width` x `height` texels.
     """
     count = low.shape[0]
     kept = np.zeros(count, np.bool_)

@@ -22,8 +22,9 @@ MOST = 16  # maximum number of pixels in a small rock's box
 def split_by_size(box):
     """Separate the screen boxes (m, 4) of small rocks from those of large rocks.
 
-    Returns the indices (k,) of the boxes of at most 16 pixels, their cumulative numbers of pixels
-    (k + 1,), starting with 0, and the indices of the other boxes.
+    Returns the indices (k,) of the boxes of at most 16 pixels, the start of each of these boxes in
+    a list of all their pixels (k + 1,), and the indices of the other boxes. The last start is the
+    number of pixels in the list.
     """
     area = np.empty(box.shape[0], np.int64)
     for m in range(box.shape[0]):
@@ -56,8 +57,9 @@ def trace_view_rays(
     `rocks`, `planes` and `count` are rocks (n, 9) and the half spaces of their shapes; `box` and
     `rock_indices` are those of `DrawnRocks`, `small` and `start` results of `split_by_size`.
     `viewpoint` (3,) is the camera, `to_sensor` (3, 3) the rotation from ENU, `fx` to `cy` are the
-    focal lengths and principal point, and `near` is the minimum depth, m. Returns rows (k, 7),
-    float32: column, row, depth, normal (3) and rock index, and which rows are hits (k,).
+    focal lengths and principal point, and `near` is the minimum depth, m. Returns one row per pixel
+    (k, 7), float32: column, row, depth, normal (3) and rock index; and whether its ray hits the
+    rock (k,). Rows without a hit are undefined.
     """
     out = np.empty((start[-1], 7), np.float32)
     hit = np.zeros(start[-1], np.bool_)
@@ -123,9 +125,9 @@ def trace_sun_rays(
     `rocks`, `planes` and `count` are rocks (n, 9) and the half spaces of their shapes; `box` and
     `rock_indices` are those of `DrawnRocks`, `small` and `start` results of `split_by_size`.
     `viewpoint` (3,) is the camera. `lean`, `axes`, `corner` and `texel` describe the map as in
-    `ShadowFrame`; `highest` and `lowest` bound elevations relative to the camera, m. Returns rows
-    (k, 3), float32: column, row and depth (0 to 1) of the highest face away from the Sun, and which
-    rows are hits (k,).
+    `ShadowFrame`; `highest` and `lowest` bound elevations relative to the camera, m. Returns one
+    row per texel (k, 3), float32: column, row and depth (0 to 1) of the point where a ray from the
+    Sun leaves the rock; and whether the ray hits the rock (k,). Rows without a hit are undefined.
     """
     out = np.empty((start[-1], 3), np.float32)
     hit = np.zeros(start[-1], np.bool_)
@@ -155,9 +157,10 @@ def trace_sun_rays(
 
 @kernel()
 def min_depth(points, hit, height, width):
-    """Return the minimum depth (height, width), float32, of hits; 1 if none.
+    """Return an image (height, width), float32, of the minimum depth of hits.
 
-    `points` (m, 3) are column, row and depth.
+    `points` (m, 3) are column, row and depth; only those with `hit` (m,) count. Pixels without a
+    hit have the depth 1.
     """
     out = np.empty((height, width), np.float32)
     for i in range(height):

@@ -74,9 +74,10 @@ def tile_tables(z, side, levels, p):
     """Return minimum, maximum, steepest gradient and decimation errors of tiles.
 
     Tile (i, j) spans `side` cells from grid point (i * side, j * side) of the elevations `z`, m,
-    with spacing `p`. The error at level l, one of `levels`, is the maximum vertical distance
-    between the relief and the relief through every 2^l-th point; from level 1 it is infinite where
-    an elevation is missing.
+    with spacing `p`. The first three results are (tile rows, tile columns); a tile without any
+    elevation has a minimum of inf and a maximum of -inf. The errors are (levels, tile rows, tile
+    columns), m. The error at level l is the maximum vertical distance between the relief and the
+    relief through every 2^l-th point; from level 1 it is infinite where an elevation is missing.
     """
     rows, cols = z.shape
     high = (rows - 2) // side + 1
@@ -106,10 +107,11 @@ def tile_tables(z, side, levels, p):
 def shadow_caster_blocks(z, first, side, blocks, p, sun, slope_factor):
     """Return which blocks (m, blocks^2) of tiles have faces turned away from the Sun.
 
-    `first` (m, 2) are the first column and row of each tile of `side` cells along a side; its
-    `blocks` x `blocks` blocks are numbered row by row. `p` is the grid spacing, m, and `sun` (3,)
-    the unit vector to the Sun. A face counts if it rises towards the Sun by more than
-    `slope_factor`, a factor slightly below 1, times the rise of the Sun's rays.
+    `first` (m, 2) are the first column and row of each tile of `side` cells along a side of the
+    elevations `z`, m. Each tile is divided into `blocks` x `blocks` square blocks, numbered row by
+    row. `p` is the grid spacing, m, and `sun` (3,) the unit vector to the Sun. A face counts if it
+    rises towards the Sun by more than `slope_factor`, a factor slightly below 1, times the rise of
+    the Sun's rays, or if an elevation is missing.
     """
     rows, cols = z.shape
     out = np.zeros((first.shape[0], blocks * blocks), np.bool_)
@@ -167,11 +169,13 @@ def _coarsest_level(error, n, max_error):
 def choose_tiles(low, high, error, viewpoint, axes, bounds, near, tolerance, shadow_tolerance):
     """Select the visible tiles of a relief and their levels of detail for a camera.
 
-    `low` and `high` (n, 3) are the tiles' bounding boxes, `error` (levels, n) their errors; `axes`
-    (3, 3) are the camera's axes, and `bounds` the tangents at the left, right, upper and lower
-    border of the image. `tolerance` and `shadow_tolerance` are errors per metre of distance.
-    Returns which tiles are visible (n,), levels (n,) for the image and for the shadow map, the
-    minimum distance of a visible tile, and the corners of the bounding box of all visible tiles.
+    `low` and `high` (n, 3) are the tiles' bounding boxes, `error` (levels, n) their errors, m;
+    `viewpoint` (3,) and `axes` (3, 3) are the camera's position and axes, ENU, `bounds` the
+    tangents at the left, right, upper and lower border of the image, and `near` is the minimum
+    depth, m. `tolerance` and `shadow_tolerance` are maximum errors per metre of distance, in the
+    image and in the shadow map. Returns which tiles are visible (n,), levels (n,) for the image and
+    for the shadow map, the minimum distance of a visible tile, and the corners of the bounding box
+    of all visible tiles.
     """
     count = low.shape[0]
     shown = np.zeros(count, np.bool_)

@@ -18,10 +18,10 @@ _DETAIL = 8
 
 @lru_cache(maxsize=4)
 def albedo_field(seed: int) -> NDArray[np.uint8]:
-    """Generate the albedo variation: a periodic random field (1024, 1024).
+    """Generate the albedo variation: a periodic random field (1024, 1024), uint8.
 
-    Its correlation is exponential.
-    Values are normal with mean 128 and standard deviation 255 / 8, limited to four deviations.
+    Its correlation is exponential, with a correlation length of 8 elements. Values are normal with
+    mean 128 and standard deviation 255 / 8, limited to four deviations.
     """
     rng = np.random.default_rng([seed, 0])
     k = 2.0 * np.pi * np.fft.fftfreq(_SIDE)

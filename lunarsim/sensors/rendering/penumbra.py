@@ -15,13 +15,13 @@ _MAX_SEARCH_BLOCKS = 128
 
 
 def sun_disc_axes(frame: ShadowFrame, sun: Array, diameter: float) -> Array:
-    """Return half the penumbra's width in a shadow map (2,), texels per metre.
+    """Return half the width of penumbrae in a shadow map, per height of the occluder.
 
-    The metres are the height of an occluder over the point; `sun` (3,) is the unit vector to the
-    Sun, and `diameter` its apparent diameter, rad. The first axis is along the Sun's azimuth. An
-    occluder at height h over a point hides parts of the disc within h tan(r) / sin(e)^2 along the
-    azimuth, and h tan(r) / sin(e) across, with the radius r of the disc and the elevation e of the
-    Sun; to first order in r.
+    The values (2,), texels per metre, are those along the Sun's azimuth and across. The height is
+    that of the occluder above the shaded point; `sun` (3,) is the unit vector to the Sun, and
+    `diameter` its apparent diameter, rad. An occluder at height h over a point hides parts of the
+    disc within h tan(r) / sin(e)^2 along the azimuth, and h tan(r) / sin(e) across, with the radius
+    r of the disc and the elevation e of the Sun; to first order in r.
     """
     radius = np.tan(0.5 * diameter)
     sine = max(float(sun[2]), float(radius))

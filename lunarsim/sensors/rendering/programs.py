@@ -140,9 +140,10 @@ def shading_programs(ctx: moderngl.Context, model: ShadingModel) -> dict[str, mo
 
 
 def _rock_shader_parts(kind: str) -> tuple[tuple[str, ...], tuple[str, ...], str]:
-    """Return the shader definitions and source files that draw a kind of rock.
+    """Return what the shader of a kind of rock consists of: three values.
 
-    `kind` is an element of `ROCK_KINDS`. The third value is the stem of the main shader file.
+    They are the preprocessor definitions, the names of source files to include, and the stem of the
+    main source file. `kind` is an element of `ROCK_KINDS`.
     """
     if kind == "half-sphere":
         return (), ("half_sphere",), "half_sphere"

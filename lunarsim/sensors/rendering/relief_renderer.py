@@ -110,8 +110,8 @@ class ReliefRenderer:
     ) -> None:
         """Draw a tile mesh once per row of instance attributes.
 
-        `name` is the shader program, `level` the level of detail; `block` selects a part of the
-        mesh.
+        `name` is the shader program and `level` the level of detail. `block` is the number of a
+        block of the mesh to draw; None: the complete mesh.
         """
         if (name, level) not in self._vaos:
             posts, triangles = tile_mesh(self._ctx, level)

@@ -128,9 +128,10 @@ def _neighbours(i: IntArray, j: IntArray, shape: tuple[int, ...]) -> IntArray:
 
 
 def level_mesh(level: int) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
-    """Return the vertices (column, row) and triangles of a tile at a level of detail.
+    """Return vertices (n, 2) and triangles (m, 3) of a tile at a level of detail.
 
-    At the finest level the triangles are ordered by block.
+    A vertex is the column and row of a grid point of the tile; a triangle has three vertex indices.
+    At the finest level (0) the triangles are ordered by block.
     """
     step = 2**level
     n = SIDE // step

@@ -270,8 +270,8 @@ class Renderer:
     ) -> dict[str, moderngl.Program]:
         """Bind the surface textures and albedos; return the shader programs for a light.
 
-        `wide` is whether penumbrae are wider than a texel. `block` is the uniform block of the
-        image, in place.
+        `wide` is whether penumbrae are wider than a texel. The coordinate transforms of the
+        textures are written into `block`, the uniform block of the image.
         """
         self._surface.use(light, view.position, block)
         if light.boulder_albedo_variation > 0.0 or light.boulder_albedo != 1.0:
@@ -284,8 +284,9 @@ class Renderer:
     ) -> float:
         """Write the size of the Sun's disc in the shadow map into the uniform block.
 
-        Returns half the width of the widest penumbra, texels; 0 for a point Sun. `relief_shades` is
-        whether the relief casts shadows.
+        Returns half the width of the widest penumbra, texels. For a point Sun or without a shadow
+        map (`frame` None) the result is 0 and nothing is written. `relief_shades` is whether the
+        relief casts shadows.
         """
         if frame is None or light.diameter == 0.0:
             return 0.0
@@ -301,7 +302,10 @@ class Renderer:
         return half_width
 
     def _shading_tiles(self, view: View, sun: Array, frame: ShadowFrame | None) -> BoolArray:
-        """Return which tiles (n,) may cast shadows onto the area of the shadow map."""
+        """Return which tiles (n,) may cast shadows onto the area of the shadow map.
+
+        `sun` (3,) is the unit vector to the Sun. Without a shadow map (`frame` None), no tile does.
+        """
         if frame is None:
             return np.zeros(len(self._corners), np.bool_)
         # Only a face steeper than the Sun's rays is turned away from the Sun.
@@ -319,7 +323,7 @@ class Renderer:
         """Return which part of the shadow map an image reads.
 
         `choice` are the visible tiles, and `penumbra_half_width` is that of the widest penumbra,
-        texels.
+        texels. With penumbrae wider than a texel, the image may read any part.
         """
         if penumbra_half_width > 1.0:  # the search for penumbrae may read any texel
             return ShadowMapReads.anywhere(frame)

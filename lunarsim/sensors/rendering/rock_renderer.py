@@ -89,9 +89,12 @@ class RockRenderer:
         return self._tiles.visible(view, near)
 
     def elevation_bounds(self, visible: DrawnRocks) -> tuple[float, float]:
-        """Return bounds of the elevation, m, of the visible parts of rocks.
+        """Return the minimum and maximum elevation, m, of rocks in a view.
 
-        The bounds are infinite if the side of a rock continues beyond the relief.
+        The rocks `visible` are included from their feet, at which drawing stops, to their tops;
+        without rocks the result is (inf, -inf). It is (-inf, inf) if the side of a visible rock
+        continues downwards without limit: at the edge of the relief, or on a relief with missing
+        elevations.
         """
         if self._bottomless[visible.rock_indices].any():
             return -np.inf, np.inf

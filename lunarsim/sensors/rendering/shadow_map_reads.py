@@ -56,9 +56,11 @@ class ShadowMapReads:
 
     @classmethod
     def of(cls, view: View, frame: ShadowFrame, lowest: float, highest: float) -> ShadowMapReads:
-        """Return the strips that a view reads.
+        """Return the strips of a shadow map that a view reads.
 
-        The view shows only points between the elevations `lowest` and `highest`, m.
+        The view shows only points between the elevations `lowest` and `highest`, m. If the camera
+        is not above them, or a corner ray of the view does not descend, the view may read any
+        texel.
         """
         drop = float(view.position[2]) - lowest
         top = highest + _DISPLACEMENT * drop

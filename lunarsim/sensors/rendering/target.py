@@ -21,6 +21,18 @@ class ImageTarget:
 
     The depth of the relief is drawn first, then its image. Rocks follow, tested against that depth
     or, if the relief was drawn at reduced resolution, against a corrected depth.
+
+    Attributes
+    ----------
+    depth, mended
+        Depth of the relief as drawn, and corrected depth.
+    colours
+        Outputs of the shaders: radiance and, if requested, range, normal and identity.
+    depth_only
+        Framebuffer for the depth of the relief.
+    image_buffer, over, over_mended
+        Framebuffers for the outputs: without a depth test, with a test against `depth`, and with a
+        test against `mended`.
     """
 
     depth: moderngl.Texture
@@ -72,7 +84,10 @@ class ShadowMap:
         return cls(texture, ctx.framebuffer([texture]))
 
     def suits(self, size: tuple[int, int]) -> bool:
-        """Return whether `size` (width, height) texels fit and use most of the map."""
+        """Return whether the map can be used for `size` (width, height) texels.
+
+        It must be large enough, but not much larger.
+        """
         width, height = self.texture.width, self.texture.height
         fits = size[0] <= width and size[1] <= height
         return fits and width * height < int(_SIZE_MARGIN**3 * (size[0] + 80) * (size[1] + 64))

@@ -12,10 +12,10 @@ from lunarsim._jit import kernel, prange
 def add_crater_profiles(z, x0, y0, p, x, y, diameter, freshness, depth, rim_height, reach):
     """Add the height profiles of fresh or eroded craters to a grid of elevations.
 
-    `z` (rows, cols) are elevations, m, in place; its first point is (x0, y0) and its spacing `p`,
-    m. `x`, `y`, `diameter` (m) and `freshness` (0 to 1) describe the craters (n,). `depth` and
-    `rim_height` are those of a fresh crater over its diameter, and `reach` is the outer radius of
-    a profile in crater radii. The profile is that of `craters.crater_profile`.
+    `z` (rows, cols) are elevations, m, changed in place; its first point is (x0, y0) and its
+    spacing `p`, m. `x`, `y`, `diameter` (m) and `freshness` (0 erased, 1 new) describe the craters
+    (n,). `depth` and `rim_height` are those of a fresh crater over its diameter, and `reach` is the
+    outer radius of a profile in crater radii. The profile is that of `craters.crater_profile`.
     """
     rows, cols = z.shape
     for i in prange(rows):
@@ -46,10 +46,11 @@ def add_crater_profiles(z, x0, y0, p, x, y, diameter, freshness, depth, rim_heig
 def add_degraded_profiles(z, x0, y0, p, x, y, radius, depth, root_age, profiles, reach):
     """Add tabulated height profiles of degraded craters to a grid of elevations.
 
-    `z` (rows, cols) are elevations, m, in place; its first point is (x0, y0) and its spacing `p`,
-    m. `x`, `y`, `radius` and fresh `depth` (n,), m, describe the craters; `root_age` (n,) is the
-    square root of their relative age, from 0 to 1. `profiles` (ages, radii) are heights over the
-    fresh depth, at uniform steps of `root_age` and of the distance up to `reach` crater radii.
+    `z` (rows, cols) are elevations, m, changed in place; its first point is (x0, y0) and its
+    spacing `p`, m. `x`, `y`, `radius` and fresh `depth` (n,), m, describe the craters; `root_age`
+    (n,) is the square root of their relative age, from 0 to 1. `profiles` (ages, radii) are heights
+    over the fresh depth, at uniform steps of `root_age` and of the distance up to `reach` crater
+    radii.
     """
     rows, cols = z.shape
     ages, radii = profiles.shape

@@ -12,10 +12,10 @@ from lunarsim._jit import kernel
 def raise_fillets(soil, x0, y0, p, x, y, a, b, cos, sin, height, reach):
     """Raise a grid of soil heights to the fillets (banked soil) around all rocks.
 
-    `soil` (rows, cols), m, is changed in place; its first point is (x0, y0) and its spacing `p`, m.
-    Rocks have centres x, y and half axes a, b, m; `cos` and `sin` give the direction of axis a.
-    `height` is the soil at each rock's outline, m, and `reach` the width of the fillets in rock
-    radii.
+    `soil` (rows, cols), m, is changed in place where a fillet is higher; its first point is (x0,
+    y0) and its spacing `p`, m. Rocks have centres x, y and half axes a, b, m (n,); `cos` and `sin`
+    give the direction of axis a. `height` (n,) is the soil at each rock's outline, m, and `reach`
+    the width of the fillets in rock radii.
     """
     rows, cols = soil.shape
     for n in range(x.size):

@@ -36,9 +36,9 @@ def _is_free(
     """Return whether a disc overlaps none of the discs already placed.
 
     The disc has its centre at (px, py) and radius `r`; `x`, `y` and `radius` are the placed discs.
-    Size class c has `widths[c]` x `heights[c]` square buckets of side `sides[c]` from the corner
-    (west, south). The linked list of a bucket starts in `first_disc`, for class c at index
-    `offset[c]`, and continues in `next_disc`.
+    Size class c of the placed discs has `widths[c]` x `heights[c]` square buckets of side
+    `sides[c]` from the corner (west, south). The linked list of a bucket starts in `first_disc`,
+    for class c at index `offset[c]`, and continues in `next_disc` until -1.
     """
     for c in range(sides.size):
         j = int((px - west) / sides[c])
@@ -94,11 +94,13 @@ def drop_rocks(
 ):
     """Place discs (rocks) at random on a relief without overlap; radii must decrease.
 
-    The map extends from west to east and south to north, m; `z` (rows, cols) are its elevations
-    with the first point (x0, y0) and the spacing `p`. Random numbers start from `seed`; each disc
-    has `tries` attempts. A fraction of the discs, `cluster_fraction`, lies around `craters` (rows:
-    x, y, radius, cumulative fractions), up to `farthest` crater radii away. Returns x and y of the
-    centres, the relief's elevation below them, and the number of placed discs.
+    `radius` are the radii of the discs, m. The map extends from west to east and south to north, m;
+    `z` (rows, cols) are its elevations with the first point (x0, y0) and the spacing `p`. Random
+    numbers start from `seed`; each disc has `tries` attempts. A fraction of the discs,
+    `cluster_fraction`, lies around `craters` (rows: x, y, radius, cumulative fractions), up to
+    `farthest` crater radii away. Returns x and y of the centres, the relief's elevation below them,
+    and the number of placed discs. The first disc without a free place ends the placement, and the
+    results contain only the discs before it.
 
     Discs of similar size share a grid of buckets as wide as the largest of them, with one linked
     list per bucket. A smaller disc can only overlap discs in the nine buckets around it.

@@ -210,7 +210,8 @@ def _cell_hit(ray, z, i, j, t0, t1):
 def _try_rocks(ray, t, bucket, nearest_distance, nearest_rock, rocks):
     """Find the nearest hit of a ray on the rocks of a bucket, at distance t or more.
 
-    `nearest_distance` and `nearest_rock` are the nearest hit so far; returns their new values.
+    `nearest_distance`, m, and `nearest_rock` (an index) are the nearest hit so far. They are
+    returned unchanged if no rock of the bucket is hit nearer, otherwise with their new values.
     """
     for m in range(rocks.start[bucket], rocks.start[bucket + 1]):
         n = rocks.index[m]
@@ -229,7 +230,7 @@ def _exit_distances(ray, i, j, level):
     """Return the distances along a ray to the two sides where it can leave a square.
 
     The square (i, j) belongs to a level of the pyramid. The first distance is to its east or west
-    side, the second to its north or south side, m.
+    side, the second to its north or south side, m; inf for a side parallel to the ray.
     """
     wu = 1 if ray.dx > 0.0 else 0
     wv = 1 if ray.dy > 0.0 else 0
@@ -242,8 +243,9 @@ def _exit_distances(ray, i, j, level):
 def _descend_to(ray, level, t, t1, i, j, rows, cols):
     """Advance a ray from distance t down to the elevation `level`.
 
-    Returns the new distance and cell (i, j), of a grid of `rows` x `cols`. A ray that is already
-    below `level` does not move; the cell is (-1, -1) beyond the end t1.
+    Returns the new distance and its cell (i, j), of a grid of `rows` x `cols`. If the ray is
+    already below `level`, t, i and j are returned unchanged. Beyond the end t1 of the ray, the cell
+    is (-1, -1).
     """
     below = (np.float64(level) - ray.oz) * ray.nz
     if below > t:
@@ -357,8 +359,9 @@ def _steep_hit(ray, t, t1, z, pyramid, rocks):
 def _levels_up(before, after, level, base, top_level):
     """Return the number of pyramid levels to ascend after a step to the next square.
 
-    `before` and `after` are the square's row or column, `level` its level, and `base` the level of
-    the buckets that list the rocks.
+    `before` and `after` are the square's row or column, `level` its level, `base` the level of the
+    buckets that list the rocks, and `top_level` the coarsest level. The number is 0 if both squares
+    have the same parent.
     """
     # A step out of a bucket must enter the next one at the level of its list of rocks.
     shift = max(base - level, 1)
@@ -484,13 +487,14 @@ def cast(
     base, peak, terrain_peak, offset, level_rows, level_cols,
     rows, planes, count, start, index, hits,
 ):  # fmt: skip
-    """Intersect rays with relief and rocks; write the hits.
+    """Intersect rays with relief and rocks; write the first hits into `hits`.
 
-    `origin` (1 or n, 3) and `direction` (n, 3) are the rays, ENU; `hits` receives distance (n,),
-    normal (n, 3; empty without `normals`) and rock index (n,). `z` are the elevations and `frame`
-    (x0, y0, spacing) their grid; `thread_slice` is (thread, number of threads). The fields of
-    `Pyramid` and `Rocks` are passed one by one: unpacking a tuple at every call would make single
-    rays 25 % slower.
+    `origin` (1 or n, 3) and `direction` (n, 3) are the rays, ENU, and `max_range` is the maximum
+    range, m. `hits` are three arrays: distance (n,), normal (n, 3; not written without `normals`)
+    and rock index (n,). The index is -1 for relief and -2 for a miss; distance and normal of a miss
+    are NaN. `z` are the elevations and `frame` (x0, y0, spacing) their grid; `thread_slice` is
+    (thread, number of threads). The fields of `Pyramid` and `Rocks` are passed one by one:
+    unpacking a tuple at every call would make single rays 25 % slower.
     """
     rays = direction.shape[0]
     x0, y0, p = frame

@@ -123,7 +123,7 @@ class AgedCraters:
     Attributes
     ----------
     x, y, diameter
-        Centres and diameters (n,), largest first, m.
+        East and north coordinates of the centres, and diameters (n,), largest first, m.
     age
         Age over the maximum age (n,): 0 for a fresh crater, 1 for one that is barely countable.
     """

@@ -24,8 +24,9 @@ def add_fine_roughness(
     """Refine fractal relief to a finer grid and add roughness of short wavelengths.
 
     The refined grid follows the spline through the old grid points. Relief with the same spectrum
-    and with wavelengths up to twice the old grid spacing is added. The addition repeats every
-    48 m; it is only a few centimetres high, on relief that does not repeat.
+    and with wavelengths up to twice the old grid spacing is added. The addition repeats every 48 m,
+    or every 1,536 new grid points if these are shorter; it is only a few centimetres high, on
+    relief that does not repeat.
 
     Parameters
     ----------

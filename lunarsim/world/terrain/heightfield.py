@@ -116,7 +116,8 @@ class Heightfield:
         """Interpolate the relief to a grid spacing of at most `posting` (m) by spline.
 
         The new spacing divides the old one, so that the old grid points keep their elevations. A
-        new point next to no-data is no-data.
+        new point next to no-data is no-data. A relief that is already fine enough is returned
+        unchanged.
         """
         factor = max(1, int(np.ceil(self.grid.posting / posting - 1e-9)))
         if factor == 1:

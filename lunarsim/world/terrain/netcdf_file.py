@@ -21,7 +21,10 @@ _NORTH_NAMES = {"projection_y_coordinate", "latitude", "grid_latitude", "y", "la
 
 
 def check_links(path: Path) -> None:
-    """Raise InputError for an HDF5 file whose samples are stored in other files."""
+    """Raise InputError for an HDF5 file whose samples are stored in other files.
+
+    The error is also raised for an HDF5 file that cannot be read. Files of other formats pass.
+    """
     import h5py  # noqa: PLC0415  (loads slowly)
 
     if not h5py.is_hdf5(path):
@@ -54,13 +57,14 @@ def check_links(path: Path) -> None:
 def check_axes(source: DatasetReader) -> None:
     """Raise InputError if a netCDF file has axes that GDAL misinterprets.
 
-    GDAL assumes evenly spaced axes, with the last dimension pointing east.
+    GDAL assumes evenly spaced axes, with the last dimension pointing east. Files of other formats
+    and axes without coordinates pass.
 
     Raises
     ------
     InputError
-        If rows and columns are exchanged, an axis is not evenly spaced, or the unit of an axis
-        differs from the unit of the coordinate reference system.
+        If rows and columns are exchanged, an axis is not evenly spaced, the unit of an axis differs
+        from the unit of the coordinate reference system, or the axes cannot be read.
     """
     if source.driver != "netCDF":
         return
@@ -96,8 +100,9 @@ def _check_axis(
 ) -> None:
     """Raise InputError if an axis has uneven steps or another step than the map.
 
-    `dim` is the name of the axis, `coordinates` (n,) are its coordinates, and `map_step` is the
-    step that GDAL reads, in units of the coordinate reference system.
+    `dim` is the name of the axis, `coordinates` (n,) are its coordinates, `attributes` include its
+    unit, and `map_step` is the step that GDAL reads, in units of the coordinate reference system.
+    The step is not compared without a unit or a reference system.
     """
     crs, unit = source.crs, str(attributes.get("units", "")).lower()
     if len(coordinates) < 2:

@@ -165,7 +165,7 @@ def _check_siblings(path: Path) -> None:
 
 
 def _check_files(path: Path, source: DatasetReader) -> None:
-    """Raise InputError unless all files of a raster lie in one folder."""
+    """Raise InputError unless all files of a raster lie in its folder or below."""
     parts = [Path(name).resolve() for name in source.files]
     outside = [
         [part for part in parts if not (part.is_file() and part.is_relative_to(folder))]

@@ -124,14 +124,17 @@ class Frame:
 
 @dataclass(frozen=True)
 class Orientation:
-    """Orientation of a raster: exchange rows and columns first, then reverse them.
+    """Orientation of a raster: how to order its points from south-west to north-east.
+
+    Rows and columns are exchanged first, if necessary, and then reversed.
 
     Attributes
     ----------
     transposed
-        Whether a row of the file runs from south to north.
+        Whether a row of the file runs along north and south; rows and columns are then exchanged.
     eastern_first, northern_first
-        Whether the first column is the eastern one, and the first row the northern one.
+        Whether, after the exchange, the first column is the eastern one, and the first row the
+        northern one.
     """
 
     transposed: bool
@@ -167,7 +170,8 @@ def frame_of_window(source: DatasetReader, window: Window, posting: float | None
     Raises
     ------
     InputError
-        If the file is not georeferenced and `posting` is not given or not sufficient.
+        If the georeferencing is not usable, or if there is none and `posting` is not given or not
+        sufficient.
     """
     transform = source.transform @ Affine.translation(window.col_off, window.row_off)
     if source.transform.is_identity:  # GDAL's value for a missing transform
@@ -361,7 +365,8 @@ def _body(crs: CRS) -> dict[str, Any]:
 def _on_sphere(crs: CRS, body: dict[str, Any]) -> CRS:
     """Replace the ellipsoid of an equidistant cylindrical projection by `body`.
 
-    Only later releases of PROJ compute this projection on the ellipsoid.
+    Only later releases of PROJ compute this projection on the ellipsoid. Other coordinate reference
+    systems are returned unchanged.
     """
     terms = crs.to_dict()
     if terms.get("proj") != "eqc":

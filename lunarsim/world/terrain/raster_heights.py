@@ -110,7 +110,9 @@ class HeightScale:
     def of(cls, source: DatasetReader, unit: str | None) -> HeightScale:
         """Return the conversion that an open raster file states.
 
-        `unit`, if given, replaces the unit stated by the file.
+        `unit`, if given, replaces the unit stated by the file. An InputError is raised for an
+        unknown unit, contradictory units, a scale that is not usable, and depths instead of
+        heights.
         """
         scale, offset = float(source.scales[0]), float(source.offsets[0])
         if not (np.isfinite(scale) and np.isfinite(offset) and scale != 0.0):
@@ -223,9 +225,9 @@ class RasterHeights:
     no_data: Sequence[float] | None
 
     def blocks(self, window: Window) -> Iterator[tuple[int, Array]]:
-        """Yield the window block by block: first row, and heights of its rows, m.
+        """Yield the heights of a window block by block, with the block's first row.
 
-        Heights are NaN where missing.
+        The row is relative to the window; the heights (rows, cols), m, are NaN where missing.
         """
         source = self.source
         masked = not has_hexadecimal_no_data(source)
@@ -285,7 +287,8 @@ class RasterHeights:
     def check(self, statistics: HeightStatistics) -> None:
         """Raise InputError for undeclared no-data values and implausible heights.
 
-        `statistics` are those of the heights to check.
+        `statistics` are those of the heights to check; without a known height there is no error.
+        Undeclared no-data values are searched for only if the user gave no values.
         """
         if not statistics.known:
             return

@@ -55,7 +55,8 @@ def has_downward_heights(source: DatasetReader) -> bool:
 def special_values(source: DatasetReader) -> list[float]:
     """Return the raw values that a planetary label reserves for missing heights.
 
-    GDAL's no-data value of the open file is not included.
+    GDAL's no-data value of the open file is not included. The result is empty for other formats
+    than ISIS3, PDS3 and PDS4.
     """
     dtype = np.dtype(source.dtypes[0])
     if source.driver == "ISIS3":
@@ -117,7 +118,7 @@ def _json_label(source: DatasetReader, domain: str) -> dict[str, Any]:
 
 
 def _image_object(label: dict[str, Any]) -> dict[str, Any]:
-    """Return the nested object of a PDS3 label that describes the samples, or {}."""
+    """Return the part of a PDS3 label that describes the samples; {} if there is none."""
     if "SAMPLE_BITS" in label or "CORE_ITEM_BYTES" in label:
         return label
     nested = [_image_object(value) for value in label.values() if isinstance(value, dict)]

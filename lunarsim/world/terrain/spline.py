@@ -36,7 +36,8 @@ class GappySpline:
     def _extrapolate_slopes(self, nearest: NDArray[np.int32]) -> None:
         """Fill gaps by reflecting the raster through the nearest known point.
 
-        `nearest` (2, rows, cols) are the row and column of that point for every raster point.
+        `nearest` (2, rows, cols) are the row and column of that point for every raster point. A gap
+        whose mirror point is also a gap keeps the value of the nearest known point.
         """
         rows, cols = np.nonzero(~self._known)
         at = nearest[:, rows, cols]

@@ -56,10 +56,11 @@ class FractalTerrain(ReliefRoughness):
 
     @property
     def detail_posting(self) -> float | None:
-        """Return the grid spacing of the refined relief, m; None: no refinement.
+        """Grid spacing of the refined relief, m; None: no refinement.
 
-        If `detail` is omitted, terrain with a preset gets a spacing of 0.05 m, or a wider spacing
-        that keeps at most 4,000 points along a side; other terrain is not refined.
+        If `detail` is omitted, only terrain with a preset and a `posting` up to 24 m is refined: to
+        the smallest spacing that divides `posting`, is at least 0.05 m, and gives at most 4,000
+        points along a side.
         """
         if self.detail is not None:
             return self.detail or None

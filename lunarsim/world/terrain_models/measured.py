@@ -148,7 +148,10 @@ def _load_measured(model: RasterTerrain) -> Heightfield:
 
 
 def _check_posts(model: RasterTerrain, side: float) -> None:
-    """Raise InputError if the grid spacing is too fine for a square of `side` metres."""
+    """Raise InputError if a square of `side` metres has too many grid points.
+
+    At most 20,000 points with the spacing of `model` are allowed along a side.
+    """
     if side / model.posting > MAX_POSTS_PER_SIDE:
         raise InputError(
             "terrain.posting_m", model.posting,

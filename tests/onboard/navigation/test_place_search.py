@@ -85,7 +85,7 @@ def test_likelihoods_are_those_of_the_reference(monkeypatch):
     weight = (rng.random(tile.shape) < 0.8).astype(float)
     variance = 0.011 + 0.01 * rng.random(tile.shape)
     row, col = (part.ravel() for part in np.mgrid[-3:38:3, -4:42:3])
-    ratio, share = features.likelihood(FeatureTile(tile, weight, variance), row, col)
+    ratio, share = features.log_likelihood_ratios(FeatureTile(tile, weight, variance), row, col)
     masked = np.where(weight > 0.0, tile, np.nan)
     for n in range(len(row)):
         expected = plain.tile_ratio(

@@ -13,7 +13,8 @@ from lunarsim.errors import InputError
 from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
 from lunarsim.models.gimbal import gimbal_mount
-from lunarsim.onboard.perception.detector import DetectorSettings, detect_rocks
+from lunarsim.onboard.perception import detector
+from lunarsim.onboard.perception.detector import OBSERVATION_SIGMA, detect_rocks
 from lunarsim.onboard.perception.segmentation import segment
 from lunarsim.onboard.perception.shadow_direction import (
     mean_direction,
@@ -282,13 +283,6 @@ def test_wrong_sun_is_refused(sun):
         detect_rocks(np.zeros((480, 640)), camera, state, sun)
 
 
-def test_wrong_settings_are_refused():
-    with pytest.raises(InputError, match="min_pixels"):
-        DetectorSettings(min_pixels=0)
-    with pytest.raises(InputError, match="gamma"):
-        segment(np.zeros((4, 4)), gamma=-1.0)
-
-
 def test_threshold_adapts_to_exposure_and_shading():
     terrain = rocks_on_a_plane("cube", seed=2)
     state, camera, counts = picture(terrain, (0.0, 0.0, 60.0))
@@ -362,25 +356,6 @@ def test_contours_run_round_the_patches():
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("gamma", -1.0), ("gamma", np.nan), ("window", 0.0), ("window", 2.0),
-        ("min_edge_fraction", -0.1),
-        ("canny", (100.0, 40.0)), ("max_radius", -5.0), ("min_fill_fraction", 0.0),
-        ("pixel_sigma", np.inf), ("min_pixels", 0), ("observation_sigma", (0.2, 0.0)),
-        ("observation_sigma", (0.2,)), ("observation_sigma", 0.2), ("observation_sigma", (np.nan,
-        0.1)),
-        ("small_patch_sigma", -0.1), ("small_patch_sigma", np.nan), ("small_patch_sigma", (0.3,
-        -0.1)),
-        ("small_patch_sigma", (np.nan, 0.1)), ("small_patch_sigma", (0.3,)),
-    ],
-)  # fmt: skip
-def test_settings_that_cannot_be_are_refused_when_they_are_made(name, value):
-    with pytest.raises(InputError, match=rf"detector\.{name}"):
-        DetectorSettings(**{name: value})
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
         ("position", np.array([0.0, 0.0, np.nan])), ("position", np.zeros(2)),
         ("attitude", np.array([0.0, 0.0, 0.0, 1.5])), ("attitude", np.full(4, np.nan)),
         ("attitude", np.zeros(3)),
@@ -422,14 +397,15 @@ def test_pixels_that_are_no_numbers_are_neither_lit_nor_a_rocks():
 
 
 @pytest.mark.parametrize("small", [(0.5, 0.0), (0.0, 0.2)])
-def test_small_patches_differ_more_from_observation_to_observation_along_the_sun_and_across(small):
+def test_small_patches_scatter_more_along_and_across_the_sun(small, monkeypatch):
     terrain = rocks_on_a_plane("cube", count=110, seed=4)
     model = ShadowModel(np.radians(20.0), RockModel("cube", burial=(0.0, 0.0)))
     state, camera, counts = picture(terrain, (-54.0, 0.0, 90.0))
 
-    def looks(*given):
-        settings = DetectorSettings(small_patch_sigma=given[0]) if given else DetectorSettings()
-        seen = detect_rocks(counts, camera, state, SUN, model=model, settings=settings)
+    def scatter(*small_patch_sigma):
+        if small_patch_sigma:
+            monkeypatch.setattr(detector, "SMALL_PATCH_SIGMA", small_patch_sigma)
+        seen = detect_rocks(counts, camera, state, SUN, model=model)
         point = seen.terrain_xy - state.position[:2]
         by_place = camera.view(state).pinhole.jacobian(
             np.column_stack((point, np.full(len(seen), -90.0))) @ camera.view(state).axes,
@@ -441,27 +417,27 @@ def test_small_patches_differ_more_from_observation_to_observation_along_the_sun
         own = back @ seen.independent_covariance @ np.swapaxes(back, 1, 2)
         return np.sqrt(np.diagonal(own, axis1=1, axis2=2)), seen.radius
 
-    (plain, radius), (told, _), (default, _) = looks((0.0, 0.0)), looks(small), looks()
-    grown = told / plain
+    default, _ = scatter()
+    plain, radius = scatter(0.0, 0.0)
+    grown = scatter(*small)[0] / plain
     first = int(np.argmax(small))
     assert (grown[:, first] > 1.0).all()
     assert grown[:, 1 - first] == pytest.approx(1.0)
     assert np.corrcoef(grown[:, first], 1.0 / radius)[0, 1] > 0.8
     assert grown[:, first].max() > 1.15
-    # Both, unless told otherwise.
     assert (default > plain).all()
 
 
 @pytest.mark.parametrize("elevation", [8.0, 12.0, 20.0, 35.0])
-def test_observations_differ_more_along_the_sun_than_shadows_are_longer(elevation):
+def test_scatter_along_the_sun_grows_more_than_the_shadow_length(elevation, monkeypatch):
     angle = np.radians(elevation)
     terrain = rocks_on_a_plane("hemisphere", count=60, seed=4)
     state, camera, counts = picture(terrain, (0.0, 0.0, 60.0), (1.2, elevation))
-    settings = DetectorSettings(small_patch_sigma=(0.0, 0.0))
+    monkeypatch.setattr(detector, "SMALL_PATCH_SIGMA", (0.0, 0.0))
     sun = direction_from_angles(1.2, angle)
-    seen = detect_rocks(counts, camera, state, sun, model=ShadowModel(angle), settings=settings)
+    seen = detect_rocks(counts, camera, state, sun, model=ShadowModel(angle))
     assert len(seen) > 10
-    along, across = settings.observation_sigma
+    along, across = OBSERVATION_SIGMA
     longer = max(np.tan(np.radians(20.0)) / np.tan(angle), 1.0) ** 1.5
     found = np.sqrt(np.linalg.eigvalsh(seen.independent_covariance))
     # Straight below a pixel spans the same both ways; that of a patch is its middle's.

@@ -10,7 +10,7 @@ import pytest
 
 from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.edge_widths import EdgeWidths, edge_widths
-from lunarsim.onboard.perception.image_quality import ImageQualitySettings
+from lunarsim.onboard.perception.image_quality import MAX_SMEAR_RATIO
 from tests.shadow_scene import SUN, at
 
 
@@ -72,7 +72,7 @@ def test_a_lit_face_beside_a_shadow_does_not_blur_the_shadows_other_edges():
         counts[name] = np.rint(soft[scale // 2 :: scale, scale // 2 :: scale]).astype(np.uint8)
     state, camera = at((0.0, 0.0, 30.0))
     widths = {n: edge_widths(detect_rocks(c, camera, state, SUN), 0.01) for n, c in counts.items()}
-    most = ImageQualitySettings().max_smear_ratio * EdgeWidths.expected(0.6)
+    most = MAX_SMEAR_RATIO * EdgeWidths.expected(0.6)
     assert widths["still"].number > 50
     assert widths["still"].least_sharp_direction < most < widths["smeared"].least_sharp_direction
 

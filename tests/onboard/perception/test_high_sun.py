@@ -95,14 +95,13 @@ def test_a_high_sun_that_is_elsewhere_is_not_believed(scene, off):
         assert abs(np.degrees(beside)) < 15.0
 
 
-def test_an_angle_known_less_well_proves_the_sun_only_far_from_what_it_may_be_wrong_by():
-    health = ImageQualityCheck()
-    limit = np.degrees(health.settings.max_confirmed_error) / health.settings.confirm_sigmas
+def test_an_inaccurate_angle_confirms_a_high_sun_only_if_it_is_far_from_the_limit():
+    limit = 30.0 / 3.5  # largest error of a confirmed direction, deg, by standard deviations
 
     def proven(angle, sigma, side=6.0, high=True):
         scene = ImageQualityCheck(sun=SunConfirmation())
-        told = SunAngle(np.radians(angle), np.radians(sigma), side, 50, high_sun=high)
-        scene.after_detection(_seen(), told, 0.01)
+        angle_now = SunAngle(np.radians(angle), np.radians(sigma), side, 50, high_sun=high)
+        scene.after_detection(_seen(), angle_now, 0.01)
         return scene.sun.confirmed
 
     assert proven(0.0, 0.95 * limit) and not proven(0.0, 1.05 * limit)

@@ -70,7 +70,7 @@ class ElevationSamples:
     density
         Samples per square metre (rows, cols).
     grid
-        Cells of both rasters.
+        Cells of `residual_heights` and `density`.
     height_ratio
         Ratio of height to diameter of the rocks expected by the mission.
     """

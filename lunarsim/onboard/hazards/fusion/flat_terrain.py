@@ -53,7 +53,7 @@ _UNDETECTED_ROCK_FACTOR = 10.0
 def flat_terrain_probability(
     site_evidence: MapEvidence, prior: float, p_no_undetected_rock: Array
 ) -> Array:
-    """Return the probability of safe terrain from a formula, without tracked rocks.
+    """Return the probability of safe terrain by a formula that ignores tracked rocks.
 
     The result (rows, cols) is the product of the prior, a factor for the margins of slope and
     roughness, and the probability of no undetected rock. Where nothing was measured, the result is
@@ -63,7 +63,7 @@ def flat_terrain_probability(
     ----------
     site_evidence
         Slope, roughness and expected undetected rocks of each site, measured by the elevation
-        mapper; the number of undetected rocks is already reduced by the rock sensor.
+        mapper; the number of undetected rocks already takes the rock sensor into account.
     prior
         Probability that slope and roughness of the terrain are within the limits, as expected by
         the mission before any measurement.
@@ -152,7 +152,8 @@ def is_detection_count_plausible(
     """Return whether the rock sensor has found enough rocks to be trusted.
 
     Few rocks compared with the expected population indicate a sensor that does not see rocks. If
-    the rock map is calibrated in any cell, the function returns True without counting.
+    the rock map is calibrated in any cell or does not state where it is, the function returns True
+    without counting.
 
     Parameters
     ----------

@@ -79,7 +79,7 @@ def fuse_evidence(
     Raises
     ------
     InputError
-        If both are None.
+        If `elevations` and `rocks` are both None.
     """
     if elevations is None:
         if rocks is None:
@@ -91,7 +91,7 @@ def fuse_evidence(
     rock_map = _rock_map(rocks, terrain.grid, 1.0)
     clear, p_none_missed = _rock_free_probabilities(elevations, rocks, priors)
     undetected_ratio = footprint_undetected_ratio(rocks, terrain.grid, priors)
-    site_evidence = _reduce_undetected(elevations, undetected_ratio)
+    site_evidence = _with_undetected_ratio(elevations, undetected_ratio)
     p, known = _elevation_probability(elevations, site_evidence)
     measured, flat = terrain.observed, np.zeros(terrain.grid.shape, np.float32)
     p_safe_without_tracks, p_no_undetected_rock = p, np.ones(terrain.grid.shape)
@@ -134,7 +134,8 @@ def _elevation_map(elevations: TerrainEvidence, priors: FusionPriors) -> HazardM
     """Return the hazard map that follows from the elevations, without a rock sensor.
 
     In each cell, p_safe is the larger of the calibrated probability and the result of
-    `flat_terrain_probability`.
+    `flat_terrain_probability`. If the elevation mapper provides no site data, its hazard map is
+    returned unchanged.
     """
     if elevations.site_evidence is None:
         return elevations.hazard_map
@@ -205,14 +206,16 @@ def footprint_undetected_ratio(
     return UndetectedRockRatio(rocks.diameter, ratio, priors.rocks.cover, priors.height_ratio)
 
 
-def _reduce_undetected(
+def _with_undetected_ratio(
     elevations: TerrainEvidence, undetected_ratio: UndetectedRockRatio
 ) -> MapEvidence | None:
-    """Return the site data of the elevation map with fewer expected undetected rocks.
+    """Return the site data of the elevation map, given what the rock sensor observed.
 
-    `undetected_ratio` is the fraction of rocks that the rock sensor misses. If it is 1 on all
-    observed terrain, the site data of `elevations` are returned unchanged. The result is None if
-    the elevation mapper provides no site data.
+    `undetected_ratio`, the number of undetected rocks after the rock sensor's observation over that
+    before (by size and cell; in unexplained shadow it can exceed 1), is attached to the site data
+    and scales their expected number of undetected rocks. If it is 1 on all observed terrain, the
+    site data of `elevations` are returned unchanged. The result is None if the elevation mapper
+    provides no site data.
     """
     if (
         elevations.site_evidence is None
@@ -238,10 +241,11 @@ def _elevation_probability(
 
 
 def _rock_map(rocks: RockEvidence, grid: Grid, prior: float) -> HazardMap:
-    """Return the rock map resampled to `grid`, multiplied by a prior for the terrain.
+    """Return the rock map resampled to `grid`, with p_safe multiplied by a prior.
 
-    `prior` is the probability that the terrain without rocks is safe. No cell is marked as
-    calibrated, because the terrain was not measured.
+    `prior` is the probability that the terrain without rocks is safe. p_safe is 0 where the rock
+    sensor has no observation. No cell is marked as calibrated, because the terrain was not
+    measured.
     """
     drawn, own = rocks.hazard_map, rocks.hazard_map.grid
     observed = resample_to_grid(drawn.observed, own, grid, False, "minimum")

@@ -32,7 +32,8 @@ _EVIDENCE_NAMES = {TerrainEvidence: "elevations", RockEvidence: "rocks"}
 class FusedMapperSettings:
     """Settings of a mapper that fuses an elevation mapper and a rock mapper.
 
-    The mapper has no sensor. Its map has the cells of the elevation map.
+    The mapper has no sensor. Its map has the cells of the elevation map, or of the rock map while
+    there are no elevations.
 
     Attributes
     ----------
@@ -97,7 +98,13 @@ class FusedMapperSettings:
             )  # fmt: skip
 
     def calibration(self) -> FusedCalibration | None:
-        """Return the calibration in `calibration_path`; None without a file."""
+        """Read the calibration in `calibration_path`; None if the path is omitted.
+
+        Raises
+        ------
+        InputError
+            If the file is missing or is not a valid calibration.
+        """
         if self.calibration_path is None:
             return None
         try:
@@ -154,7 +161,8 @@ class FusedMapperSettings:
     ) -> None:
         """Raise InputError if `calibration_mapper` is not another elevation mapper.
 
-        `parts` are the settings of all mappers by name; `fused` are the fused mappers by name.
+        An empty name is valid. `parts` are the settings of all mappers by name; `fused` are the
+        types of the fusion data of the fused mappers by name.
         """
         if not self.calibration_mapper:
             return
@@ -275,7 +283,8 @@ class FusedMapper(HazardMapper):
     def hazard_map(self) -> HazardMap:
         """Update the fused map if an update is due, and return it.
 
-        An update is due immediately if a fused mapper has withdrawn its observations or has moved
+        An update is due if the map of a fused mapper has changed and the update interval has
+        passed. It is due immediately if a fused mapper has withdrawn its observations or has moved
         its grid.
         """
         sources = (*self._mappers.values(), *self._calibration_mapper.values())
@@ -291,7 +300,11 @@ class FusedMapper(HazardMapper):
         return self._map
 
     def _is_update_due(self, surfaces: tuple[TerrainSurface, ...]) -> bool:
-        """Return whether the map must be recomputed for the current source surfaces."""
+        """Return whether the map must be recomputed for the current source surfaces.
+
+        After the update interval, any surface that differs from that of the last update requires
+        this; before, only one whose grid has moved or whose observations were withdrawn.
+        """
         changed = [
             (n, o)
             for n, o in zip(surfaces, self._source_surfaces, strict=True)
@@ -322,9 +335,10 @@ class FusedMapper(HazardMapper):
         return self._calibrated(fused, second)
 
     def _calibrated(self, fused: HazardMap, second: HazardMap | None) -> HazardMap:
-        """Return the fused map after its calibration with a second elevation map.
+        """Return the fused map with calibrated p_safe.
 
-        `second` is the other elevation map; None if there is none.
+        `second` is the second elevation map, whose p_safe is an input of the calibration; None if
+        there is none.
         """
         assert self.calibration is not None
         p_second, is_second_observed = np.zeros_like(fused.p_safe), np.zeros_like(fused.observed)

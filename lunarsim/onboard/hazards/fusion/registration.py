@@ -51,7 +51,8 @@ class RockShift:
 def register_tracks(tracks: RockTracks, samples: ElevationSamples, scale: float) -> RockTracks:
     """Return the rock tracks moved by their common shift relative to the elevations.
 
-    The tracks are unchanged if there are too few for an estimate.
+    The standard deviation of the positions is updated. The tracks are returned unchanged if
+    `estimate_shift` returns None.
 
     Parameters
     ----------
@@ -73,7 +74,7 @@ def register_tracks(tracks: RockTracks, samples: ElevationSamples, scale: float)
 def estimate_shift(tracks: RockTracks, samples: ElevationSamples, scale: float) -> RockShift | None:
     """Estimate the common position error of tracked rocks from elevation samples.
 
-    The result is None if there are too few rocks on the map.
+    The result is None if fewer than three tracks on the map have an existence above 0.5.
 
     Parameters
     ----------
@@ -119,6 +120,9 @@ def estimate_shift(tracks: RockTracks, samples: ElevationSamples, scale: float) 
 
 
 def _cell_offsets(max_distance: float, posting: float) -> IntArray:
-    """Return the integers from -n to n, where n cells span `max_distance` (m)."""
+    """Return the integers from -n to n for n = `max_distance` / `posting`, rounded.
+
+    Both are in m; n is rounded to the nearest integer.
+    """
     most = round(max_distance / posting)
     return np.arange(-most, most + 1)

@@ -24,8 +24,9 @@ def resample_to_grid(
 ) -> NDArray[Any]:
     """Resample a map layer (rows, cols) to the cells of another grid, conservatively.
 
-    If both grids are equal, the layer is returned unchanged. Otherwise each cell takes the worst
-    value within one cell of its centre, for the larger of both cell sizes.
+    If both grids are equal, the layer is returned unchanged. Otherwise each cell of `target` takes
+    the worst value in a square of source cells around its centre. The square extends half a target
+    cell, rounded up to complete source cells, beyond the source cell that contains the centre.
 
     Parameters
     ----------
@@ -34,7 +35,7 @@ def resample_to_grid(
     source, target
         Grid of the layer, and grid of the result.
     outside
-        Value of cells that are off the layer.
+        Value of target cells whose centre is off the source grid.
     worst
         Whether the minimum or the maximum of several values is the worst.
     """

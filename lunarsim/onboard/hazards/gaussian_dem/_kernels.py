@@ -13,8 +13,9 @@ def splat(points, base, x0, y0, posting, rows, cols):
     """Distribute points (n, 3) over the four nearest cell centres of a raster.
 
     The weights are bilinear (Eq. 1 of the Gaussian DEM paper). `base` is the reference of the
-    heights, m; (`x0`, `y0`) is the centre of cell (0, 0). Returns the sums of weighted heights
-    above `base` and of weights, both (rows, cols).
+    heights, m; (`x0`, `y0`) is the centre of cell (0, 0). Points with NaN and points without a cell
+    centre nearby are skipped. Returns the sum of weighted heights above `base` and the sum of
+    weights of each cell, both (rows, cols).
     """
     height = np.zeros((rows, cols), np.float32)
     weight = np.zeros((rows, cols), np.float32)
@@ -196,8 +197,10 @@ def _regress_triangle(
 ):  # fmt: skip
     """Write the regressed height and variance of the unmeasured cells in one triangle.
 
-    `a`, `b`, `c` are its vertices among `points` (n, 3). If the triangle spans an occlusion,
-    `is_usable` is False. The other arguments are those of `regress`, for one triangle.
+    `a`, `b` and `c` are the indices of its vertices among `points` (n, 3). `mean`, `variance` and
+    `observed` (rows, cols) are written in cells with a weight of at most `min_weight`. If
+    `is_usable` is False, because the triangle spans an occlusion, only `mean` is written. The other
+    arguments are those of `regress`, for one triangle.
     """
     rows, cols = mean.shape
     ax, ay = points[a, 0], points[a, 1]
@@ -272,8 +275,8 @@ def regress(
 
     `prior` (m,), m^2, and `length` (m,), m, are variance and length scale of the random field in
     each triangle. Its mean is the plane through the centroid of the vertices with the slope
-    `gradient` (m, 2). Triangles that are not `usable` (m,) span an occlusion: they yield a mean and
-    the prior variance, and leave `observed` False.
+    `gradient` (m, 2). Triangles that are not `usable` (m,) span an occlusion: in their cells only
+    `mean` is written, and `variance` and `observed` stay as they are.
     """
     for t in range(thread_slice[0], triangles.shape[0], thread_slice[1]):
         _regress_triangle(

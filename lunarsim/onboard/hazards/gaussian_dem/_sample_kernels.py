@@ -13,9 +13,10 @@ def add_points(points, base, sigma, spacing, raster, centroid, splat, call_weigh
     """Add points (n, 3) to the sums of a `SamplePool`; return how many hit the grid.
 
     `base` is the reference height, m; `sigma` (n,) and `spacing` (n,) are standard deviation and
-    spacing of each sample, m. `raster` is (x0, y0, cell size), m. `centroid` and `splat` (rows,
-    cols, 4) are the sums of the pool and `min_spacing` (rows, cols) its minimum spacings.
-    `call_weight` (rows, cols) receives the bilinear weights of the given points only.
+    spacing of each sample, m. `raster` is (x0, y0, cell size), m, with the centre (x0, y0) of cell
+    (0, 0). `centroid` and the last three entries of `splat` (rows, cols, 4), the sums of the pool,
+    and `min_spacing` (rows, cols), its minimum spacings, are updated. The bilinear weights of the
+    given points are added to `call_weight` (rows, cols). Points off the grid are skipped.
     """
     x0, y0, p = raster
     rows, cols = min_spacing.shape
@@ -86,11 +87,11 @@ def write_measured_cells(
 
     `splat` (rows, cols, 4) are the sums of `SamplePool`, with heights above `base`, m. Cells with a
     weight of at most `min_weight` get a NaN mean, the variance `prior_variance`, m^2, and the flag
-    False. `variogram_slope`, m, holds the slope of the variogram at the origin for each square of
-    `square_cells` x `square_cells` cells. `mean_offset`, m, is the effective distance of a sample
-    from the cell centre. Their product, divided by the sum of weights (or by 1 if that is larger),
-    is added to the variance of the mean. `mean`, `variance` and `observed` (rows, cols) receive the
-    results. `thread_slice` is (thread, number of threads).
+    False. The other cells get the weighted mean of their samples and its variance, increased by
+    ``mean_offset * slope / max(weight, 1)``: `mean_offset`, m, is the effective distance of a
+    sample from the cell centre, and `variogram_slope`, m, holds the slope of the variogram at the
+    origin for each square of `square_cells` x `square_cells` cells. `mean`, `variance` and
+    `observed` (rows, cols) receive the results. `thread_slice` is (thread, number of threads).
     """
     rows, cols = mean.shape
     for i in range(thread_slice[0], rows, thread_slice[1]):
@@ -116,11 +117,11 @@ def add_curvature_variance(thread_slice, mean, is_measured, noise, factor, varia
     """Increase the variance of measured cells where the terrain is strongly curved.
 
     At the edge of a rock the samples of a cell lie above or below its centre. The curvature is the
-    difference of a cell's `mean` (rows, cols), m, from the average of two opposite neighbours, the
-    maximum of four directions. If its square exceeds nine times its own variance, `factor` times
-    the excess is added to `variance` (rows, cols), m^2. `noise` (rows, cols), m^2, is the variance
-    of the mean. `is_measured` (rows, cols) selects the cells. `thread_slice` is (thread, number of
-    threads).
+    difference of a cell's `mean` (rows, cols), m, from the average of two opposite neighbours; the
+    maximum over four directions is used. If its square exceeds nine times its variance, `factor`
+    times the excess is added to `variance` (rows, cols), m^2; otherwise it is unchanged. `noise`
+    (rows, cols), m^2, is the variance of `mean`, from which the variance of the curvature follows.
+    `is_measured` (rows, cols) selects the cells. `thread_slice` is (thread, number of threads).
     """
     rows, cols = mean.shape
     for i in range(thread_slice[0], rows, thread_slice[1]):

@@ -79,7 +79,8 @@ def conventional_dem(points: ArrayLike, grid: Grid) -> ConventionalDem:
     Raises
     ------
     ValueError
-        If the array is not (n, 3), contains infinities, or no point falls on the grid.
+        If the array is not (n, 3), contains infinities or a height beyond 8 km, or no point falls
+        on the grid.
     """
     cloud = check_points(points)
     check_heights(cloud)
@@ -120,9 +121,9 @@ def check_heights(cloud: Array) -> None:
 
 
 def base_height(cloud: Array) -> float:
-    """Return the height of a point in the middle of the list, m, as reference height.
+    """Return the height of the point in the middle of a list, m, as reference height.
 
-    Sums of heights relative to it stay small. `cloud` (n, 3) are the points; the result is 0 for
-    none.
+    Sums of heights relative to it stay small. `cloud` (n, 3) are the points; without points the
+    result is 0.
     """
     return float(cloud[len(cloud) // 2, 2]) if len(cloud) else 0.0

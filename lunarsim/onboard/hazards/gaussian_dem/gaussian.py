@@ -69,7 +69,7 @@ def gaussian_dem(
     """Build a raster with mean and variance of the elevation from a point cloud.
 
     Implements section II of the Gaussian DEM paper. Cells with enough samples take the value of the
-    conventional DEM and the variance of the sensor. The others take the regression of Eqs. 5 and 6,
+    conventional DEM and the variance of a sample. Other cells take the regression of Eqs. 5 and 6,
     with the kernel of Eq. 4, from the vertices of the Delaunay triangle that contains them. The
     prior mean is the mean of these vertices, because a prior mean of zero would pull the terrain
     towards z = 0.
@@ -98,8 +98,9 @@ def gaussian_dem(
     Raises
     ------
     ValueError
-        If the array is not (n, 3), contains infinities, a parameter is not positive, or a height
-        exceeds 8 km.
+        If the array is not (n, 3), contains infinities, `sigma_f` or `length_scale` is not
+        positive, `sigma_eps` is negative, a height exceeds 8 km, or `image_shape` does not have one
+        pixel per point.
 
     Examples
     --------
@@ -220,10 +221,11 @@ class _Mesh:
         image_shape: tuple[int, int] | None,
         spacing: ArrayLike | None,
     ) -> _Mesh:
-        """Triangulate all points of a detector image, or the finite points of a cloud.
+        """Triangulate the finite points of a detector image or of a point cloud.
 
-        `raw` (n, 3) are all points and `cloud` the finite ones, m. `image_shape` is the size of the
-        detector, or None for a cloud. `spacing` is the sample spacing, scalar or (n,), m, or None.
+        `raw` (n, 3) are all points and `cloud` the finite ones, m. `image_shape` is (rows, columns)
+        of the detector, or None for a cloud. `spacing` is the sample spacing, scalar or (n,), m, or
+        None to estimate it from the points.
         """
         if image_shape is None:
             return cls._of_cloud(raw, cloud, spacing)
@@ -285,7 +287,8 @@ def _pixel_spacing(raw: Array, shape: tuple[int, int]) -> float:
 def sample_spacing(points: Array) -> Array:
     """Return the mean horizontal distance of each point to its six nearest points, m.
 
-    `points` has shape (n, 2 or more), the result (n,).
+    `points` has shape (n, 2 or more), the result (n,). With fewer points all others are used; a
+    single point gets inf.
     """
     nearest = min(_NEIGHBOUR_COUNT, len(points) - 1)
     if nearest < 1:

@@ -61,7 +61,8 @@ class GaussianDemMapperSettings:
     Raises
     ------
     InputError
-        If the calibration file is missing or invalid, or if `safety` does not use one.
+        If the calibration file is missing or invalid, or if it is given and `safety` is not
+        ``"calibrated"``.
     """
 
     sensor: str = quantity("flash", help="name of the LiDAR whose scans are mapped")
@@ -96,7 +97,13 @@ class GaussianDemMapperSettings:
         self.calibration()
 
     def calibration(self) -> ScenarioCalibration | None:
-        """Return the calibration in `calibration_path`; None without a file."""
+        """Read the calibration in `calibration_path`; None if the path is omitted.
+
+        Raises
+        ------
+        InputError
+            If the file is missing, invalid, or fitted to another regression.
+        """
         if self.calibration_path is None:
             return None
         try:
@@ -211,7 +218,7 @@ class GaussianDemMapper(HazardMapper):
 
     @property
     def pool(self) -> SamplePool:
-        """All samples, including those that are rotated again when the tilt is known."""
+        """All samples: the final ones, and those that tilt corrections may still rotate."""
         return self._samples.union(self._provisional)
 
     def correct_tilt(self, turn: Array, pivot: Array, tilt_sigma: float) -> None:
@@ -292,7 +299,10 @@ class GaussianDemMapper(HazardMapper):
         return self._samples.base is None and self._provisional.base is None
 
     def recentre(self, centre: Array) -> None:
-        """Move the map to another centre (3,), local frame, m, if it is too far from it."""
+        """Move the map to another centre (3,), local frame, m, if it is too far from it.
+
+        An empty map is always moved. Samples that leave the map are dropped.
+        """
         if not (self.is_empty or is_off_centre(self.grid, centre)):
             return
         self._samples, self._provisional = self._pools_about(centre)

@@ -28,8 +28,8 @@ from lunarsim.value_checks import as_real_array, check_finite, check_shape
 _MAX_LENGTH_M = 1e4
 # Minimum standard deviation of a height, m, whatever the sensor states.
 _MIN_SIGMA_M = 1e-4
-# Minimum number of shared cells for the height offset between two scans.
-_MIN_SHARED_CELLS = 30
+# Minimum number of new points in cells with stored samples for the height offset of a scan.
+_MIN_SHARED_POINTS = 30
 # Ratio of the standard deviation to the median absolute deviation of normal values, and ratio of
 # the standard errors of their median and mean.
 _MAD_TO_SIGMA, _MEDIAN_TO_MEAN_ERROR = 1.4826, 1.2533
@@ -120,8 +120,8 @@ class SamplePool:
         """Estimate the height offset of new points from the stored samples in their cells.
 
         The result is the median difference (new minus stored) and its standard error, m; None if
-        too few cells contain both. The position of the points within a cell contributes differences
-        of either sign.
+        fewer than 30 new points are in cells with stored samples. The position of the points within
+        a cell contributes differences of either sign.
 
         Parameters
         ----------
@@ -133,7 +133,7 @@ class SamplePool:
         (row, col), keep = _cells(self.grid, cloud)
         known = self.centroid[row, col]
         both = known[:, 0] > 0.0
-        if np.count_nonzero(both) < _MIN_SHARED_CELLS or self.base is None:
+        if np.count_nonzero(both) < _MIN_SHARED_POINTS or self.base is None:
             return None
         difference = cloud[keep][both, 2] - self.base - known[both, 3] / known[both, 0]
         median = float(np.median(difference))
@@ -141,7 +141,7 @@ class SamplePool:
         return median, _MEDIAN_TO_MEAN_ERROR * spread / float(np.sqrt(len(difference)))
 
     def shifted_up(self, height: float) -> SamplePool:
-        """Return the same samples shifted up by a height, m."""
+        """Return the same samples shifted up by a height, m; arrays are not copied."""
         out = SamplePool(self.grid)
         out.base = None if self.base is None else self.base + height
         out.centroid, out.splat, out.spacing = self.centroid, self.splat, self.spacing

@@ -113,8 +113,9 @@ def _sample_pairs(
 def _bin_pairs(distance: Array, square: Array, largest_lag: float) -> tuple[Array, Array, IntArray]:
     """Average point pairs in logarithmic distance bins with at least 30 pairs.
 
-    `distance` (m,), m, and `square` (m,), m^2, are the result of `_sample_pairs`. Returns mean
-    distance, mean of `square` and number of pairs of each bin.
+    `distance` (m,), m, and `square` (m,), m^2, are the result of `_sample_pairs`, and `largest_lag`
+    is the end of the last bin, m. Returns mean distance, mean of `square` and number of pairs of
+    each bin (k,); bins with fewer pairs are omitted.
     """
     edges = np.geomspace(distance.min(), largest_lag, _BIN_COUNT + 1)
     index = np.clip(np.searchsorted(edges, distance) - 1, 0, _BIN_COUNT - 1)
@@ -131,7 +132,7 @@ def _fit_model(
     """Fit the exponential variogram to its bins; return sigma_f and length scale, m.
 
     `lag`, `variogram` and `count` are the result of `_bin_pairs`; `sigma_eps` is the standard
-    deviation of a sample, m.
+    deviation of a sample, m. `largest_lag`, m, gives the initial length scale of the fit.
     """
 
     def model(d: Array, log_sigma: float, log_length: float) -> Array:

@@ -73,9 +73,10 @@ def _count_exceptions(distance, square, median_distance, tolerance, exception_ra
 
     An exception is a point farther than `tolerance` (m) from the terrain plane or from the parallel
     plane at `median_distance` (m). `distance` (n,), m, and `square` (n,) are the results of
-    `_distances`. `exception_ratio` (w, w) receives the fraction of exceptions. `max_distance` (w,
-    w), m, receives the maximum distance from the parallel plane, or of an exception from either
-    plane.
+    `_distances`. `exception_ratio` (w, w), 0 before the call, receives the fraction of exceptions
+    among the points of each of the w x w squares. `max_distance` (w, w), m, also 0 before,
+    receives the maximum distance from the parallel plane, or of an exception from either plane.
+    Squares without points stay 0.
     """
     squares = exception_ratio.shape[0]
     number = np.zeros((squares, squares))
@@ -115,9 +116,10 @@ def _count_in_square(tree, depth, row, col):
 def _neighbour_count(tree, depth, row, col, row_step, col_step):
     """Return the number of points in the next occupied square in a direction.
 
-    The search starts at the square (`row`, `col`) of a depth. The result is the larger number of
-    the first occupied square and the one behind it, because part of the first may be hidden; -1 if
-    all squares within reach are empty.
+    The search starts beside the square (`row`, `col`) of a quadtree level `depth` and moves by
+    (`row_step`, `col_step`). The result is the larger of the numbers in the first occupied square
+    and in the one behind it, because part of the first may be hidden; -1 if the next
+    NEIGHBOUR_SQUARES squares are empty.
     """
     for n in range(1, NEIGHBOUR_SQUARES + 1):
         number = _count_in_square(tree, depth, row + n * row_step, col + n * col_step)
@@ -149,10 +151,12 @@ def _expected_count(tree, depth, row, col):
 
 @kernel()
 def _blank_unobserved(tree, node, exception_ratio, max_distance):
-    """Set the empty squares of a cell to NaN unless they may be empty by chance.
+    """Set squares of a cell to NaN that no point hit although points were expected.
 
-    `exception_ratio` and `max_distance` (w, w) are the values of the squares of cell `node`. An
-    unobserved square may be hidden behind a boulder or lie beyond the edge of a scan.
+    `exception_ratio` and `max_distance` (w, w), the values of the w x w squares of cell `node`, are
+    set to NaN where a square without points should contain at least MIN_EXPECTED_POINTS by its
+    neighbours: it may be hidden behind a boulder or lie beyond the edge of a scan. Other squares
+    without points may be empty by chance and keep their values.
     """
     wide = exception_ratio.shape[0]
     depth = np.int64(tree.depth[node])
@@ -202,8 +206,8 @@ def _equal_or_nan(a, b):
 def _write_squares(exception_ratio, max_distance, row0, col0, exception_ratios, max_distances):
     """Copy the squares of one cell into the rasters; return whether a value changed.
 
-    `exception_ratio` and `max_distance` (w, w) are copied to `exception_ratios` and `max_distances`
-    at row `row0` and column `col0`.
+    `exception_ratio` and `max_distance` (w, w), the values of the squares of the cell, are copied
+    to the rasters `exception_ratios` and `max_distances` from row `row0` and column `col0` on.
     """
     changed = False
     wide = exception_ratio.shape[0]

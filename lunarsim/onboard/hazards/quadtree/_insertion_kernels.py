@@ -196,9 +196,10 @@ def _leaf_of(tree, key):
 
 @kernel(inline=True)
 def _end_of_cell(key, i, shift):
-    """Return the first index after `i` whose sorted Z-order key is outside the cell.
+    """Return the first index after `i` whose key is outside the cell of key[i].
 
-    The keys in a cell have the same leading bits: all but the last `shift`.
+    `key` (n,) are sorted Z-order keys. The keys in a cell have the same leading bits: all but the
+    last `shift`. The result is n if all further keys are in the cell.
     """
     prefix = key[i] >> shift
     j = i + 1
@@ -232,10 +233,13 @@ def _count_along_path(tree, leaf, key, added, version, touched, count):
 def _split_if_needed(tree, leaf, run, split_count, used, version, touched, count, index_buffer):
     """Split a leaf that has too many points, and update the sums of smallest cells.
 
+    Children with too many points are split too. Moment sums are computed only for cells of the
+    smallest size; those of split cells are left to the caller.
+
     `run` is the new run of points in `leaf`, and `split_count` the number of points at which a cell
     splits. `used` is the number of nodes, runs and sums in use, `version` the number of the batch.
-    `touched` lists the cells that the batch has reached, with `count` entries; `index_buffer` is a
-    work array.
+    `touched` lists the cells that the batch has reached, with `count` entries; split cells are
+    appended. `index_buffer` is a work array.
 
     Returns nodes, runs and sums in use, the number of cells in `touched`, and the work array,
     possibly enlarged.

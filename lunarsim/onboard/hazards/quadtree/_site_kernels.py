@@ -221,10 +221,11 @@ def marked_nodes(tree, marked, smallest, largest, last_visit, visit):
     """Return the cells of a size band in marked squares, and the empty squares.
 
     `marked` (rows, cols) is a raster whose squares have the smallest size of the band. `smallest`
-    and `largest` are the depths of the smallest and largest cells. `last_visit` holds the number of
-    the last visit of each square and `visit` that of this one, so that no cell is listed twice.
-    Squares without a cell are returned as west, east, south and north (m, 4), in half steps (half
-    sides of the smallest cells).
+    and `largest` are the depths of the smallest and largest cells. `last_visit` (rows * cols,)
+    holds the number of the last visit of each square and is updated with `visit`, the number of
+    this call, so that no cell is listed twice. Returns the indices of the cells (n,) and the marked
+    squares without a cell as west, east, south and north (m, 4), in half steps (half sides of the
+    smallest cells).
     """
     wide = marked.shape[1]
     step = 2.0 * tree.half / wide
@@ -414,8 +415,8 @@ def _abs_distance_sum(tree, west, east, south, north, x, y, z, normal):
 def _max_over_zone(raster, x, y, reach):
     """Return the maximum of a raster over a square zone; NaN if one value is NaN.
 
-    `x` and `y` are the centre of the zone and `reach` its half side, in squares of the raster.
-    Squares that only touch the zone are ignored.
+    `raster` (rows, cols) has no negative values. `x` and `y` are the centre of the zone and `reach`
+    its half side, in squares of the raster. Squares that only touch the zone are ignored.
     """
     worst = np.float32(0.0)
     reach = reach - 1e-6
@@ -464,10 +465,11 @@ def _site_status(cosine, max_ratio, min_cosine, max_exceptions):
 def _measure_zone(tree, node, half_side, normal, printed, stack, sums, out):
     """Measure number, fitted slope and roughness of the points in a landing zone.
 
-    The zone is a square of `half_side` (m) about the centre of cell `node`. `normal` (3,) is the
-    normal of the terrain plane. If `printed`, the roughness follows Eq. 8 of the quadtree paper as
-    printed, otherwise it is the root mean square distance to the plane. `stack` and `sums` are work
-    arrays; `out` (9,) receives the results.
+    The zone is a square with half side `half_side` (m) about the centre of cell `node`. `normal`
+    (3,) is the normal of the terrain plane. If `printed`, the roughness follows Eq. 8 of the
+    quadtree paper as printed, otherwise it is the root mean square distance to the plane. `stack`
+    and `sums` are work arrays. The results are written to the entries POINT_COUNT, FITTED_SLOPE,
+    SLOPE_SIGMA and ROUGHNESS of `out` (9,).
     """
     x, y = cell_centre(tree, node)
     west, east, south, north = x - half_side, x + half_side, y - half_side, y + half_side
@@ -495,8 +497,9 @@ def evaluate_sites(
     plane), the half sides of the landing zone and of the footprint of the lander, and the margin
     around hazards, m. If `printed`, the roughness follows Eq. 8 of the quadtree paper as printed,
     otherwise it is the root mean square distance to the plane. If `thorough`, it is computed for
-    rejected sites too. `results` (N, 9) and `status` (N,) receive the results and status codes, one
-    row per square of the smallest cells.
+    rejected sites too, if they have a plane, enough points and a zone on the map. `results` (N, 9)
+    and `status` (N,) receive the results, NaN where not evaluated, and status codes. They have one
+    row per square of the smallest cells; rows of cells that are not in `nodes` stay unchanged.
     """
     ratios, reliefs = rasters
     min_cosine, exception, zone, footprint, margin = limits

@@ -196,10 +196,10 @@ def _mark_outliers(tree, node, index, tolerance):
 
 @kernel(inner=True)
 def update_outliers_and_sums(tree, node, index_buffer):
-    """Recompute the outliers in height and the moment sums of one cell.
+    """Recompute the outliers in height and the stored moment sums of one cell.
 
-    Children with stored sums contribute these. `index_buffer` is a work array, which is returned,
-    possibly enlarged.
+    Children with stored sums contribute these sums, and their points are not tested again. `tree`
+    is updated. `index_buffer` is a work array, which is returned, possibly enlarged.
     """
     index_buffer, n = _unsummed_points(tree, node, index_buffer)
     low, high = np.inf, -np.inf

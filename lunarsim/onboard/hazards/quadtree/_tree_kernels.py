@@ -22,7 +22,12 @@ STACK = 64
 
 
 class Tree(NamedTuple):
-    """Arrays of a quadtree of points, in a form that compiled kernels accept."""
+    """Arrays of a quadtree of points, in a form that compiled kernels accept.
+
+    There are n points, N cells (nodes) and S sets of moment sums. `child` is the index of the first
+    of four consecutive children. The points of a leaf are a chain of runs: `head` is its first run,
+    `following` the next one, and `start` and `length` give the section of `xyz` of each run.
+    """
 
     half: float  # half the side of the root, m
     depths: int  # depth of the smallest cells
@@ -73,7 +78,8 @@ def node_at(tree, x, y, smallest, largest):
     """Return the smallest cell at a point, within a band of cell sizes; -1 for none.
 
     `x` and `y` are relative to the centre of the map, m. `smallest` and `largest` are the depths of
-    the smallest and largest cells in the band, so `smallest` is the greater number.
+    the smallest and largest cells in the band, so `smallest` is the greater number. The result is
+    -1 off the map, in an empty cell, and where all cells are larger than the band.
     """
     if not (-tree.half <= x < tree.half and -tree.half <= y < tree.half):
         return -1
@@ -90,7 +96,7 @@ def band(tree, smallest, largest, since):
 
     `smallest` and `largest` are the depths of the smallest and largest cells in the band. `since`
     is the number of a batch; only cells with points from later batches are returned, as indices
-    (n,).
+    (n,). They do not overlap: at each place it is the smallest cell of the band that exists.
     """
     found = np.empty(tree.child.size, np.int32)
     n = 0

@@ -181,7 +181,8 @@ class QuadtreeMapper(HazardMapper):
     def recentre(self, centre: Array) -> None:
         """Move the map to another centre (3,), local frame, m, if it is too far from it.
 
-        The interest map, which is centred on the target, moves too.
+        An empty map is always moved. The interest map, which is centred on the target, moves too,
+        and the map also moves if the target has moved by more than a cell of the interest map.
         """
         by = np.asarray(centre, dtype=np.float64)[:2] - self._target
         # The interest map is centred on the target and must move with it.
@@ -199,7 +200,7 @@ class QuadtreeMapper(HazardMapper):
         """Create a new quadtree on a grid and insert all points (n, 3) into it.
 
         `elevation` is the reference height, m. The points measured before the tilt was known come
-        first.
+        first. The site selection and the hazard map are reset.
         """
         noise = self.noise
         self._create_tree(grid, elevation)
@@ -257,7 +258,7 @@ class QuadtreeMapper(HazardMapper):
         self.noise = max(self.noise, float(np.nanmedian(scan.height_sigma(attitude))))
 
     def select(self) -> SiteSelection:
-        """Select landing sites if the map has changed, and return the selection."""
+        """Select landing sites if the map has changed, and return the last selection."""
         if self.selection is None or self._selected_version != self.map.version:
             self._selected_version = self.map.version
             self.selection = self.selector.update()
@@ -295,6 +296,8 @@ class QuadtreeMapper(HazardMapper):
 
     def scoreboard(self, site: Array) -> Scoreboard:
         """Return the ranked sites of the last selection, scored by Eq. 9 of the paper.
+
+        The score of the current target is that of the site whose cell contains it, inf for none.
 
         Parameters
         ----------
@@ -398,8 +401,8 @@ def rasterize_cells(grid: Grid, xy: Array, size: Array, value: ArrayLike, fill: 
 def _return_points(scan: LidarScan, position: Array, attitude: Array) -> Array:
     """Return the points (n, 3) of the pixels of a scan that got a return.
 
-    `position` (3,), m, and `attitude` are the pose of the lander; the points are in its frame of
-    reference (local frame, m).
+    Points are in the local frame, m. `position` (3,), in the same frame, m, and `attitude` are the
+    estimated pose of the lander.
     """
     points = np.asarray(scan.points(position, attitude)).reshape(-1, 3)
     return points[np.isfinite(scan.range).ravel()]

@@ -50,8 +50,8 @@ class TerrainMesh:
         """Update the mesh with new points; return outlines (n, 4) of changed triangles.
 
         `since` is the version of the map at the last update. Changed triangles are those that were
-        added, removed or moved. Outlines are west, east, south and north, in half sides of the
-        smallest cells.
+        added or removed, or whose vertices changed in height. Outlines are west, east, south and
+        north, in half sides of the smallest cells. Without new points, nothing changes.
         """
         if not len(self._map.band(*self._band, since=since)):
             return np.zeros((0, 4), np.int64)
@@ -89,7 +89,10 @@ class TerrainMesh:
         return np.asarray((2 * place + 1) * size[:, None])
 
     def _triangulate(self) -> IntArray:
-        """Triangulate the vertices in an order that depends on their positions only."""
+        """Return the triangles (t, 3) of the vertices, as indices into `xy`.
+
+        They do not depend on the order of the vertices; there are none for fewer than three.
+        """
         if len(self.xy) < 3:
             return np.zeros((0, 3), np.int64)
         order = np.argsort(hilbert_keys(self.xy, self._bits), kind="stable")
@@ -106,9 +109,10 @@ class TerrainMesh:
     def _changed_outlines(
         self, nodes: Nodes, xy: IntArray, z: Array, triangles: IntArray
     ) -> IntArray:
-        """Return the outlines of triangles that are not in both the old and the new mesh.
+        """Return the outlines (n, 4) of triangles that differ between old and new mesh.
 
-        `nodes`, `xy`, `z` and `triangles` describe the old mesh.
+        These are removed triangles, added triangles, and triangles with a vertex whose height has
+        changed. `nodes`, `xy`, `z` and `triangles` describe the old mesh.
         """
         all_nodes = np.union1d(nodes, self.nodes)
         old = _triangle_keys(np.searchsorted(all_nodes, nodes), triangles, len(all_nodes))
@@ -136,7 +140,8 @@ def _triangle_keys(index: IntArray, triangles: IntArray, count: int) -> IntArray
 def _outlines(xy: IntArray, triangles: IntArray) -> IntArray:
     """Return west, east, south and north limits of triangles (m, 4).
 
-    `xy` (n, 2) are the vertices and `triangles` (m, 3) their indices.
+    `xy` (n, 2) are the vertices, in half sides of the smallest cells like the result, and
+    `triangles` (m, 3) their indices.
     """
     corners = xy[triangles]
     low, high = corners.min(axis=1, initial=2**40), corners.max(axis=1, initial=-1)

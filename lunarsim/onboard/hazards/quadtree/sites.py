@@ -46,7 +46,7 @@ class Site:
     slope
         Slope of the terrain plane, rad.
     roughness
-        Roughness by Eq. 8 of the quadtree paper, m.
+        Roughness by the measure that `SiteSettings.roughness` selects, m.
     """
 
     position: Array
@@ -78,7 +78,8 @@ class SiteSelection:
     footprint_ratio
         Maximum fraction of exceptions in the footprint of the lander (n,).
     roughness
-        Roughness (n,), m; NaN where not evaluated.
+        Roughness by the measure that `SiteSettings.roughness` selects (n,), m; NaN where not
+        evaluated.
     relief
         Maximum distance of a point in the zone and `margin` around it from the median plane of its
         cell, or of an exception from the terrain plane (n,), m; NaN if a cell of the zone has too
@@ -306,7 +307,10 @@ class SiteSelector:
         )
 
     def _interest_of(self, nodes: Nodes) -> Array:
-        """Return the value to the mission of cells (n,)."""
+        """Return the value to the mission of cells (n,), in [0, 1]; 1 without a map of it.
+
+        `nodes` (n,) are the indices of the cells.
+        """
         if self._interest is None:
             return np.ones(len(nodes))
         return self._interest.at(self.map.centres(nodes))

@@ -107,11 +107,11 @@ class SamplingCoverage:
     Attributes
     ----------
     grid
-        Cells of about `_CELL_M`: the map side divided by a power of two.
+        Cells of about 0.2 m: the map side divided by a power of two.
     gap
         True where points are missing and chance does not explain it (rows, cols).
     density
-        Points per square metre in a window of `_DENSITY_WINDOW_M` around each cell (rows, cols).
+        Points per square metre in a window of about 1 m around each cell (rows, cols).
     """
 
     grid: Grid
@@ -120,7 +120,11 @@ class SamplingCoverage:
 
 
 def sampling_coverage(quadtree: QuadtreeMap) -> SamplingCoverage:
-    """Compute the point density of a quadtree map and find its gaps."""
+    """Compute the point density of a quadtree map and find its gaps.
+
+    A gap is a rectangle of cells without points in which the density on both sides of it predicts
+    at least 14.
+    """
     wide = 1 << quadtree.depth_of(_CELL_M)
     posting = quadtree.side / wide
     grid = Grid.centred(quadtree.centre[:2], quadtree.side, posting)
@@ -162,7 +166,8 @@ def sampling_coverage(quadtree: QuadtreeMap) -> SamplingCoverage:
 def _density_on_both_sides(density: Array, near: int, far: int, axis: int) -> Array:
     """Return the smaller of the maximum densities on both sides of each cell.
 
-    `density` (rows, cols) is in 1/m^2. Each side extends from `near` to `far` cells along `axis`.
+    `density` and the result are (rows, cols), in points per cell. Each side extends from `near` to
+    `far` cells from the cell along `axis`; beyond the map the density is 0.
     """
     lines = np.pad(np.moveaxis(density, axis, -1), ((0, 0), (far, far)))
     wide, length = far - near + 1, density.shape[axis]
@@ -195,9 +200,9 @@ def _mean_terrain(
 def residual_heights(quadtree: QuadtreeMap) -> Array:
     """Return the heights of a sample of points above the local terrain plane (n,), m.
 
-    The plane is fitted to about a hundred points without outliers. Outliers less than
-    `_MAX_ROCK_OUTLIER_M` from the plane are included, because a single return from a small rock
-    cannot be distinguished from one in the air.
+    The plane is fitted to about a hundred points around each point, without outliers. Outliers in
+    height less than 1 m from the plane are included in the result, because a single return from a
+    small rock cannot be distinguished from one in the air; other outliers are omitted.
     """
     t, count = quadtree.tree, quadtree.count
     index = np.arange(0, count, max(1, count // _MAX_SAMPLED_POINTS))

@@ -229,7 +229,9 @@ class QuadtreeMap:
     def band(self, smallest: float, largest: float, *, since: int = 0) -> Nodes:
         """Return the smallest cells within a band of sizes (Figure 3 of the paper).
 
-        The cells are returned as indices (n,) in Z-order.
+        The cells are returned as indices (n,) in Z-order. They do not overlap: at each place it is
+        the smallest cell of the band that exists. Empty cells are omitted, and so are places whose
+        smallest cell is larger than the band.
 
         Parameters
         ----------

@@ -67,7 +67,8 @@ def _nodes_in_sensor_axes(coarse_nodes, position, axes):
 def _interpolate_row(nodes, i, node_spacing):
     """Interpolate the nodes of a coarse grid to row `i` of the fine grid.
 
-    There are `node_spacing` fine rows between two nodes. The result has shape (node cols, columns).
+    `nodes` (node rows, node cols, columns) are `node_spacing` fine rows apart. The result has shape
+    (node cols, columns).
     """
     first = min(i // node_spacing, nodes.shape[0] - 2)
     fraction = i / node_spacing - first
@@ -94,10 +95,11 @@ def _pixels_of_test_points(pixels, node, rise, up, radius, intrinsics, image_hei
     """Project the test points of a rock's shadow; return whether all are in view.
 
     The test points lie in the core of the shadow, the part that is dark for every rock shape.
-    `pixels` (points,) receives their pixel indices, row by row. `node` is the node interpolated at
-    the rock, `rise` an assumed error of its terrain height, m, `up` (3,) the vertical in sensor
-    axes, and `radius` the radius of the rock, m. `intrinsics` is (fx, fy, cx, cy). The loop has no
-    branch before the end, so that it can be vectorised.
+    `pixels` (points,) receives their flat pixel indices, row * image width + column; 0 for a point
+    out of view. `node` (columns,) is the node interpolated at the rock, `rise` an assumed error of
+    its terrain height, m, `up` (3,) the vertical in sensor axes, and `radius` the radius of the
+    rock, m. `intrinsics` is (fx, fy, cx, cy). The loop does not end early, so that it can be
+    vectorised.
     """
     fx, fy, cx, cy = intrinsics
     points = len(pixels)
@@ -128,9 +130,11 @@ def _dark_points(
     """Count the dark test points of the shadow that a rock would cast.
 
     Returns the number for the darkest of the `shape_count` possible shadows, and how many of these
-    points belong to shadows of tracked rocks; -1 if a point is out of view. A point is dark if the
-    largest rock that may shade its pixel, `radius_of_pixel` (m, negative for tracked rocks), is not
-    smaller than the rock. The other arguments are those of `_pixels_of_test_points`.
+    points belong to shadows of tracked rocks; (-1, 0) if a point is out of view. A point is dark if
+    the largest rock that may shade its pixel, `radius_of_pixel` (m, negative for tracked rocks), is
+    not smaller than the rock. `pixels` is a work array. `node` describes the viewing geometry at
+    the rock, `rise` is an assumed error of its terrain height, m, and `radius` its radius, m. The
+    other arguments describe the camera, as in `_pixels_of_test_points`.
     """
     if not _pixels_of_test_points(
         pixels, node, rise, up, radius, intrinsics, image_height, image_width
@@ -159,7 +163,8 @@ def _may_be_dark_at_other_heights(
 
     A height error displaces the shadow laterally in the image. Heights within the possible error at
     `node` are tested in steps that displace it by about the radius of the rock. The shadow of a
-    tracked rock does not count as dark. The other arguments are those of `_dark_points` and
+    tracked rock does not count as dark. The result is also True if the shadow may be out of view or
+    be displaced by more than MAX_STEPS radii. The other arguments are those of `_dark_points` and
     `is_lit_between`.
     """
     reach, e, n, h = node[FAR], node[E], node[N], node[H]
@@ -199,8 +204,9 @@ def _may_be_in_view(
 ):
     """Return whether the centre of a shadow may be in view within a square of nodes.
 
-    (`i`, `j`) is the south-west node of the square, and `radius` that of the rock, m. The other
-    arguments are those of `record_observation`.
+    (`i`, `j`) is the south-west node of the square in `coarse_nodes` (rows, cols, columns), and
+    `radius` that of the rock, m. The other arguments are position (3,), m, axes (3, 3), focal
+    lengths, principal point and image size of the camera.
     """
     behind = left = right = above = below = 0
     for a in range(i, i + 2):
@@ -228,7 +234,8 @@ def _squares_in_view(
 ):
     """Return in which squares of nodes a shadow may be in view (rows, cols, sizes).
 
-    The arguments are those of `record_observation`.
+    A square has four neighbouring nodes of `coarse_nodes` as corners. `radii` (sizes,), m, are
+    those of the rocks; the other arguments describe the camera, as in `record_observation`.
     """
     rows, cols = coarse_nodes.shape[0] - 1, coarse_nodes.shape[1] - 1
     out = np.empty((rows, cols, len(radii)), np.bool_)
@@ -246,8 +253,8 @@ def _squares_in_view(
 def _radius_of_pixels(labels, radius_of_patch):
     """Return the radius of the largest rock that may shade each pixel, row by row, m.
 
-    `labels` (height, width) is the dark patch of each pixel, and `radius_of_patch` the radius for
-    each patch.
+    The result has shape (height * width,). `labels` (height, width) is the dark patch of each
+    pixel, and `radius_of_patch` (labels + 1,) the radius for each patch, m.
     """
     image_height, image_width = labels.shape
     out = np.empty(image_height * image_width, radius_of_patch.dtype)
@@ -264,8 +271,12 @@ def _record_row(
 ):  # fmt: skip
     """Record whether shadows of rocks in row `i` of the grid would fall on lit pixels.
 
-    `in_view` and `lit_tile_sizes` are the results of `_squares_in_view` and `lit_tiles`. The other
-    arguments are those of `record_observation`, which calls this.
+    `lit`, `dark` and `explained` are updated in this row. `nodes` are the nodes of the coarse grid
+    in sensor axes, `up` (3,) is the vertical in sensor axes, `intrinsics` (fx, fy, cx, cy) and
+    `shape` (height, width of the image). `radius_of_pixel`, `radius_of_block`, `in_view` and
+    `lit_tile_sizes` are the results of `_radius_of_pixels`, `max_radius_of_blocks`,
+    `_squares_in_view` and `lit_tiles`. The other arguments are those of `record_observation`, which
+    calls this.
     """
     sizes, _, cols = lit.shape
     image_height, image_width = np.int32(shape[0]), np.int32(shape[1])
@@ -323,8 +334,8 @@ def record_observation(
     """Record at which positions the shadow of a rock would fall on lit terrain.
 
     If it does, there is no undetected rock of that size. The shadow must fall on lit terrain at all
-    possible terrain heights. Terrain that is dark only at another height is recorded neither as lit
-    nor as dark.
+    possible terrain heights. If it falls on dark terrain only at a height other than the estimate,
+    it is recorded neither as lit nor as dark. Nothing is recorded for shadows out of view.
 
     Parameters
     ----------

@@ -191,6 +191,9 @@ def is_lit_between(
 ):  # fmt: skip
     """Return whether shadows between two terrain heights fall on lit pixels in view.
 
+    The shadows are those of a rock at any position in a tile. The result is False if one may be out
+    of view or if a pixel in the box around all of them may be dark.
+
     `low` and `high` (columns,) are the minimum and maximum of the tile's nodes and `shadow_extent`
     the result of `shadow_extents`. `min_rise` and `max_rise` limit the error of the terrain height,
     m, `up` (3,) is the vertical in sensor axes, and `radius` the radius of the rock, m.
@@ -228,8 +231,10 @@ def is_tile_lit(
 ):  # fmt: skip
     """Return whether all shadows of rocks in a tile fall on lit pixels in view.
 
-    This holds for all possible terrain heights, within the search limit of
-    `_may_be_dark_at_other_heights`. The arguments are those of `is_lit_between`.
+    This must hold for all possible terrain heights. The result is False if the possible height
+    error displaces shadows by MAX_STEPS radii of the rock or more. `low` and `high` (columns,) are
+    the minimum and maximum of the tile's nodes, `shadow_extent` is from `shadow_extents`, and
+    `radius` is that of the rock, m; the other arguments are those of `is_lit_between`.
     """
     max_rise = max(abs(low[FAR]), abs(high[FAR]))
     east, north = max(abs(low[E]), abs(high[E])), max(abs(low[N]), abs(high[N]))
@@ -249,9 +254,11 @@ def lit_tiles(
 ):  # fmt: skip
     """Find the tiles in which all shadows of a rock size fall on lit pixels.
 
-    The result has shape (tile rows, tile cols, sizes). `nodes` (rows, cols, columns) are those of
-    the coarse grid in sensor axes, with `node_spacing` positions between two of them. `radii`
-    (sizes,), m, are those of the rocks. The other arguments are those of `is_lit_between`.
+    Tiles of about 8 x 8 positions divide the squares between the nodes of the coarse grid. The
+    result (tile rows, tile cols, sizes) is True if a rock of the size at any position of the tile
+    casts its shadow on lit pixels in view. `nodes` (rows, cols, columns) are the nodes in sensor
+    axes, with `node_spacing` positions between two of them. `radii` (sizes,), m, are those of the
+    rocks. The other arguments are those of `is_lit_between`.
     """
     tiles = tiles_per_square(node_spacing)
     rows, cols = (nodes.shape[0] - 1) * tiles, (nodes.shape[1] - 1) * tiles

@@ -38,7 +38,7 @@ def _normal_cdf(x):
 
 @kernel()
 def _cover_probability(distance, sigma, radius, radius_sigma, node, weight):
-    """Return the probability that a rock covers a point near its estimated centre.
+    """Return the probability that a point lies within the circular outline of a rock.
 
     `distance`, m, is that of the point from the estimated centre. Its distance from the true centre
     has a Rice distribution with `distance` and the standard deviation `sigma` per axis, m. The
@@ -81,9 +81,10 @@ def _cover_probability(distance, sigma, radius, radius_sigma, node, weight):
 
 @kernel(parallel=True)
 def rice_profiles(distance, sigma, radius, radius_sigma, node, weight):
-    """Return the probabilities that rocks (n,) cover points at distances (n, k).
+    """Return the probabilities that points lie within the outlines of rocks (n, k).
 
-    `distance` (n, k), m, is measured from the estimated centres. `sigma` (n,), m, is the standard
+    `distance` (n, k), m, is that of k points from the estimated centre of each rock; the distance
+    from the true centre has a Rice distribution. `sigma` (n,), m, is the standard
     deviation of the centre per axis. `radius` and `radius_sigma` (n,), m, are mean and standard
     deviation of the radius. `node` and `weight` are those of Gauss-Legendre quadrature.
     """
@@ -102,8 +103,8 @@ def multiply_clear_probability(clear, x0, y0, posting, xy, reach, cover_profile,
 
     `clear` (rows, cols) is updated. (`x0`, `y0`) is the centre of cell (0, 0) and `posting` the
     cell size, m. Rock i is at `xy` (n, 2), m, and exists with `rock_probability` (n,).
-    `cover_profile` (n, k) is the probability that it covers a point, at equal steps of distance
-    from 0 to `reach` (n,), m, where it ends at 0.
+    `cover_profile` (n, k) is the probability that its outline contains a cell's centre, at equal
+    steps of distance from 0 to `reach` (n,), m. Cells farther away are not changed.
     """
     rows, cols = clear.shape
     last = cover_profile.shape[1] - 1
@@ -157,9 +158,10 @@ def mark_possible(possible, lit, dark, radius):
 
 @kernel()
 def count_possible(lit, possible, explained):
-    """Count the positions where an untracked rock may exist, and all observed ones.
+    """Count positions where an untracked rock may exist, and all observed positions.
 
-    `lit` (rows, cols) is the sharpness of the sharpest observation of lit terrain, 0 for none.
+    A position is observed if its shadow place was seen lit or may hide a rock in the dark. `lit`
+    (rows, cols) is the sharpness of the sharpest observation of lit terrain, 0 for none.
     `possible` is the result of `mark_possible`, and `explained` marks where the dark terrain is the
     shadow of a tracked rock (rows, cols).
     """

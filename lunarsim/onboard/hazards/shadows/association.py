@@ -157,8 +157,9 @@ def is_dark_at_patch(
     """Return whether an image is dark where the shadow of each rock is expected (n,).
 
     `rocks` is the filter of the tracked rocks and `index` (n,) selects the rocks. `unit_patches`
-    are the expected dark patches of rocks of radius 1 m at their positions. `sun` (3,) is the
-    direction towards the Sun, ENU, and `plane` the plane on which shadows fall.
+    are the expected dark patches of rocks of radius 1 m at their positions. `detections` holds the
+    dark patches of the image. `sun` (3,) is the direction towards the Sun, ENU, and `plane` the
+    plane on which shadows fall. For a shadow out of view, the nearest pixel at the edge is tested.
     """
     s = np.array([sun[0], sun[1]]) / np.hypot(sun[0], sun[1])
     offset = np.stack((unit_patches.along, unit_patches.side), -1) @ np.array(
@@ -177,7 +178,7 @@ def is_dark_at_patch(
 class TentativeRocks:
     """Detections of the last image that are not tracked but may be rocks.
 
-    They are too inaccurate to start a track.
+    They do not start a track, for instance because they are too inaccurate or too small.
 
     Attributes
     ----------
@@ -212,7 +213,8 @@ _MIN_FOUND_FRACTION, _MAX_CHANCE = 0.25, 1e-6
 def is_rock_count_too_low(found: int, expected: float) -> bool:
     """Return whether far fewer rocks were found than expected.
 
-    Either the terrain has fewer rocks, or they are not detected.
+    This is the case if fewer than a quarter were found and the Poisson probability of so few is
+    below 1e-6. Either the terrain has fewer rocks, or they are not detected.
 
     Parameters
     ----------

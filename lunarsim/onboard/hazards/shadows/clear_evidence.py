@@ -128,9 +128,10 @@ class ClearEvidence:
         self.motion.forget()
 
     def recentre(self, offset: Array) -> Array:
-        """Shift the grid by an offset (2,), m, and keep the observations.
+        """Shift the grid by an offset (2,), m, and keep the observations on it.
 
-        Returns the shift applied (2,), east and north, m, which is an integer number of cells.
+        Observations off the shifted grid are dropped. Returns the shift applied (2,), east and
+        north, m, which is an integer number of cells.
         """
         g = self.grid
         cols, rows = (int(v) for v in np.rint(np.asarray(offset) / g.posting))
@@ -241,7 +242,11 @@ class ClearEvidence:
         return every, self.motion.to_current(np.stack(np.meshgrid(x, y), -1))
 
     def _possible(self, size_class: int) -> BoolArray:
-        """Return where a rock of a size class may exist in the dark (rows, cols)."""
+        """Return where a rock of a size class may exist in the dark (rows, cols).
+
+        These are the positions whose shadow would fall on terrain that images show dark, unless a
+        considerably sharper image shows it lit.
+        """
         possible = np.empty(self.grid.shape, np.bool_)
         density.mark_possible(
             possible, self.lit[size_class], self.dark[size_class], self._tested[size_class]
@@ -249,7 +254,12 @@ class ClearEvidence:
         return possible
 
     def _density(self, size_class: int) -> NDArray[np.float32]:
-        """Return the density of untracked rocks of a size class (rows, cols), 1/m^2."""
+        """Return the density of untracked rocks of a size class (rows, cols), 1/m^2.
+
+        It is the expected density times the miss rate of the sharpest lit observation. Where a rock
+        may exist in the dark, it is the expected density if a tracked rock explains the shadow;
+        otherwise it is higher, because all rocks of the class are assumed to be in such places.
+        """
         mine = self._class == size_class
         radius, number = self._radius[mine], self._number[mine]
         possible, explained = self._possible(size_class), self.explained[size_class]
@@ -274,10 +284,11 @@ class ClearEvidence:
     def ratios(self) -> NDArray[np.float32]:
         """Return the ratio of untracked rocks to those expected without observation.
 
-        The result (sizes, rows, cols) is below 1 where the terrain was observed lit. It is 1
-        without an observation and where the shadow of a tracked rock may hide a rock. Other dark
-        terrain holds all rocks that were not found: there it is the ratio of densities times the
-        miss rate at this sharpness, and 1 or more.
+        The result (sizes, rows, cols) is below 1 where the shadow of a rock would fall on lit
+        terrain. It is 1 without an observation and where the dark terrain is the shadow of a
+        tracked rock. Where the dark terrain is not explained by a tracked rock, it is 1 or more:
+        all rocks of the size are assumed to be there, so that their density is divided by the
+        fraction of such positions, and it is multiplied by the detector's miss rate.
         """
         out = np.ones(self.lit.shape, np.float32)
         for s in range(len(out)):
@@ -289,9 +300,10 @@ class ClearEvidence:
         return out
 
     def _miss_fraction(self, size_class: int) -> NDArray[np.float32]:
-        """Return the miss rate of a size class in the sharpest view of dark terrain.
+        """Return the detector's miss rate for a size class in the sharpest dark view.
 
-        The result has shape (rows, cols).
+        The result (rows, cols) is for the sharpest image in which the shadow of a rock at the
+        position would fall on dark terrain, averaged over the sizes of the class.
         """
         mine = self._class == size_class
         dark = self.dark[size_class]
@@ -305,8 +317,8 @@ class ClearEvidence:
     def expected(self, footprint: float = 0.0) -> NDArray[np.float32]:
         """Return the expected number of untracked rocks that reach into a disc.
 
-        The result (rows, cols) is for discs centred on each position. `footprint` is the radius, m;
-        0: rocks that cover the position itself.
+        The result (rows, cols) is for a disc centred on each position. `footprint` is the radius of
+        the disc, m; 0: rocks whose outline contains the position itself.
         """
         total = np.zeros(self.grid.shape, np.float32)
         for s in range(len(self._tested)):
@@ -323,7 +335,7 @@ class ClearEvidence:
     def expected_unobserved(self, footprint: float = 0.0) -> float:
         """Return the number of rocks that reach into a disc, expected without observation.
 
-        `footprint` is the radius of the disc, m; 0: rocks that cover a position.
+        `footprint` is the radius of the disc, m; 0: rocks whose outline contains a given position.
         """
         return float(np.pi * self._number @ (footprint + self._radius) ** 2)
 
@@ -347,7 +359,12 @@ class ClearEvidence:
         return total * self.grid.posting**2
 
     def observed(self) -> BoolArray:
-        """Return where a rock of the smallest size would have been detected (rows, cols)."""
+        """Return where a rock of the smallest size would have been detected (rows, cols).
+
+        There the place of the shadow was seen lit so sharply that less than 25 % of such rocks
+        would be missed. The result is False everywhere if more than 2 % of the rocks cast no shadow
+        under this Sun.
+        """
         if self.model.shadowless_fraction > _MAX_SHADOWLESS_FRACTION:
             return np.zeros(self.grid.shape, np.bool_)
         missed = self.rates.false_clear(self._radius[0] * self.lit[0])
@@ -371,12 +388,13 @@ def _shadow_test_points(
 ) -> list[Array]:
     """Return east and north of test points in the shadow that every rock shape casts.
 
-    There are five points for round rocks and five for elongated rocks, whose discs are smaller.
-    Each is an array over the viewing directions (`azimuth` and `depression`, rad), relative to the
-    position of a rock with a longer half axis of 1. `sun` (3,) is the direction towards the Sun.
-    Terrain that rises away from the Sun shortens the shadow. The points are therefore computed for
-    terrain with the slopes of `model`; they are also dark on flatter terrain. `low_rocks` is the
-    shadow model of low rocks, whose shadow lies within that of a higher rock.
+    There are five points for round rocks and five for elongated rocks, whose discs are smaller. The
+    list holds east and north of each point in turn. Each is an array over the viewing directions
+    (`azimuth` and `depression`, rad), relative to the position of a rock with a longer half axis of
+    1. `sun` (3,) is the direction towards the Sun. Terrain that rises away from the Sun shortens
+    the shadow. The points are therefore computed for terrain with the slopes of `model`; they are
+    also dark on flatter terrain. `low_rocks` is the shadow model of low rocks, whose shadow lies
+    within that of a higher rock.
     """
     unit = low_rocks.patch(azimuth, depression)
     s = sun[:2] / np.hypot(sun[0], sun[1])
@@ -400,7 +418,8 @@ def _shadow_test_points(
 def _mark_explained(detections: Detections, explained: BoolArray) -> NDArray[np.float32]:
     """Return the radius of the largest rock of each patch, negative if it is tracked.
 
-    `explained` (rocks,) marks the detections that are tracked rocks; radii are in m.
+    The result (labels + 1,) is in m. `explained` (rocks,) marks the detections that are tracked
+    rocks. A patch of several merged shadows, with an infinite radius, does not become negative.
     """
     # A patch of several merged shadows is not explained by one rock.
     label = detections.label[explained]

@@ -47,10 +47,11 @@ def disc_mean(layer: NDArray[Any], radius: float, outside: float) -> NDArray[np.
 
 
 def footprint_observed(observed: BoolArray, radius: float) -> BoolArray:
-    """Return the cells around which a complete footprint was observed (rows, cols).
+    """Return the cells around which the footprint counts as observed (rows, cols).
 
-    `observed` (rows, cols) is False beyond its edge. `radius` is that of the footprint, cells; 0:
-    the cell itself.
+    `observed` (rows, cols) marks the observed cells. A footprint counts if it does not leave the
+    map and its centre cell and a minimum of 90 % of its area are observed. `radius` is that of the
+    footprint, cells; 0: only the cell itself counts.
     """
     if radius <= 0.0:
         return observed

@@ -49,6 +49,9 @@ class MapMotion:
     def follow(self, xy: Array, motion: Array) -> None:
         """Move the stored positions with the tracked rocks.
 
+        Rocks whose motion deviates from that of most rocks are ignored. Without a rock of known
+        motion, nothing changes.
+
         Parameters
         ----------
         xy

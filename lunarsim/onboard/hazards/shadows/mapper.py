@@ -40,7 +40,6 @@ from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
 from lunarsim.onboard.navigation.rock_filter import MapRegion
 from lunarsim.onboard.perception.detector import (
     Detections,
-    DetectorSettings,
     detect_rocks,
 )
 from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
@@ -101,15 +100,13 @@ class ShadowMapper(HazardMapper):
         Assumed direction towards the Sun (3,), ENU of the site frame.
     footprint
         Radius of the disc under the lander that must be free of rocks, m.
-    detector
-        Criteria for dark patches to be shadows of rocks.
     interval
         Minimum time between two evaluations of the map, s.
     clear_terrain_interval
         Minimum time between two images of a camera from which clear terrain is recorded, s.
     health
-        Image quality checks by sensor name, or one for all cameras; default: one with default
-        settings.
+        Image quality checks by sensor name, or one for all cameras; default: one for the default
+        point spread.
     terrain_mapper
         Elevation mapper whose terrain is used: rocks stand at its heights and shadows fall on its
         plane. None: horizontal terrain.
@@ -132,7 +129,6 @@ class ShadowMapper(HazardMapper):
         sun: Array,
         footprint: float,
         *,
-        detector: DetectorSettings | None = None,
         interval: float = 1.0,
         clear_terrain_interval: float = 0.0,
         health: ImageQualityCheck | Mapping[str, ImageQualityCheck] | None = None,
@@ -147,7 +143,6 @@ class ShadowMapper(HazardMapper):
         self.interval, self.clear_terrain_interval = interval, clear_terrain_interval
         self._terrain = MeasuredTerrain(terrain_mapper)
         tracker.filter.measured_terrain = None if terrain_mapper is None else self._terrain
-        self.detector = detector or DetectorSettings()
         checks = (
             dict(health) if isinstance(health, Mapping) else {"": health or ImageQualityCheck()}
         )
@@ -206,7 +201,6 @@ class ShadowMapper(HazardMapper):
             detections = detect_rocks(
                 image.counts, image.camera, estimate, sun,
                 terrain=self._detection_plane(image.camera), model=self.tracker.model,
-                settings=self.detector,
             )  # fmt: skip
             was_confirmed = self.health.sun.confirmed
             health = self._check_shadows(detections, image, estimate, sun, health)
@@ -272,13 +266,17 @@ class ShadowMapper(HazardMapper):
         self.probability.add_image(
             image.camera.view(rocks.inertial), sun, detections, rocks.terrain_height_at,
             self.tracker.explained, self._place_sigma, plane, self._height_sigma,
-            self.health.settings.blur_sigma,
+            self.health.blur_sigma,
         )  # fmt: skip
 
     def _blind_pixels(
         self, detections: Detections, image: CameraImage, sun: Array, plane: GroundPlane
     ) -> BoolArray:
-        """Return the pixels in which rocks would not be visible (height, width)."""
+        """Return the pixels in which rocks would not be visible (height, width).
+
+        `sun` (3,) is the direction towards the Sun, ENU, and `plane` the plane on which shadows
+        fall.
+        """
         camera, rocks = image.camera, self.tracker.filter
         points = rocks.terrain_points(camera, cell_centres(camera.width, camera.height))
         sharpness, area = sharpness_and_area_of_cells(
@@ -306,10 +304,10 @@ class ShadowMapper(HazardMapper):
         return sigma
 
     def _forget_lost_rocks(self) -> None:
-        """Discard terrain recorded as clear if the tracker has dropped all rocks.
+        """Discard terrain recorded as clear of rocks if the tracker has dropped all rocks.
 
         Recorded terrain moves with the tracked rocks, so its position is unknown without them.
-        Clear terrain is free of hazards.
+        Nothing happens if they have not been dropped since the last call.
         """
         if self.tracker.renewals > self._renewals:
             self._renewals = self.tracker.renewals
@@ -398,7 +396,10 @@ class ShadowMapper(HazardMapper):
         self.tracker.filter.events.append(NavigationEvent(time, name, details))
 
     def _height_in_view(self, camera: CameraModel) -> float:
-        """Return the terrain height at the centre of the image, local frame, m."""
+        """Return the terrain height at the centre of the image, local frame, m.
+
+        If the centre does not show terrain, it is the terrain height below the lander.
+        """
         rocks = self.tracker.filter
         middle = np.array([[0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]])
         height = float(rocks.terrain_points(camera, middle)[0, 2])
@@ -422,7 +423,8 @@ class ShadowMapper(HazardMapper):
     def evidence(self) -> RockEvidence | None:
         """Return tracked and expected undetected rocks, for fusion; None without images.
 
-        If the map has implausibly few rocks, tracked rocks still count but clear terrain does not.
+        The result is also None while shadows contradict the Sun direction. If the map has
+        implausibly few rocks, tracked rocks still count but clear terrain does not.
         """
         hazard_map = self.hazard_map()
         if self.is_empty or self.tracker.filter.image_monitor.monitors["shadows"].lost:
@@ -473,7 +475,8 @@ class ShadowMapper(HazardMapper):
     def recentre(self, centre: Array) -> None:
         """Move the map to another centre (3,), local frame, m, if it is too far from it.
 
-        Rocks outside remain tracked, but no more of them are added.
+        An empty map is always moved. Rocks outside the moved map remain tracked, but no rocks are
+        added there.
         """
         if not (self.is_empty or is_off_centre(self.grid, centre)):
             return
@@ -529,7 +532,8 @@ def tracked_region(grid: Grid) -> MapRegion:
 def _check_sun(sun: ArrayLike, elevation: float) -> None:
     """Raise InputError if the Sun elevation differs from that of the shadow model.
 
-    `sun` (3,) is the direction towards the Sun, and `elevation` that of the model, rad.
+    `sun` (3,) is the direction towards the Sun, a unit vector, and `elevation` the Sun elevation of
+    the model, rad. A difference below 1 deg is accepted.
     """
     direction = unit_vector(sun)
     given = float(np.arcsin(direction[2]))

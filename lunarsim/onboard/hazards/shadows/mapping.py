@@ -22,17 +22,14 @@ from lunarsim.onboard.navigation.estimate import Navigation
 from lunarsim.onboard.navigation.navigation_kinds import RockNavigation
 from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.onboard.perception.image_quality import (
+    DEFAULT_BLUR_SIGMA,
     ImageQualityCheck,
-    ImageQualitySettings,
     SunConfirmation,
 )
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.parts.quantity import quantity
 from lunarsim.rocks.population import RockExpectation
-
-# Point spread of a camera without a known one, pixels.
-_BLUR = ImageQualitySettings().blur_sigma
 
 
 @dataclass(frozen=True)
@@ -61,13 +58,14 @@ class ShadowMapping:
         Name of an elevation mapper: rocks stand on its terrain, and shadows fall on its plane;
         empty: horizontal terrain.
     cover_model
-        Model of the probability that a rock covers a point, as in `cover_probability`: ``"rice"``
-        or ``"gaussian"``.
+        Model of the probability that the outline of a rock contains a point, as in
+        `cover_probability`: ``"rice"`` or ``"gaussian"``.
 
     Raises
     ------
     InputError
-        If a camera is named twice, or `sensor` is not one of `sensors`.
+        If a camera is named twice, or if `sensors` is given and `sensor` is neither one of them nor
+        the default.
     """
 
     sensor: str = quantity("camera", help="Name of the camera whose images are mapped")
@@ -122,6 +120,8 @@ class ShadowMapping:
     def check_terrain_mapper(self, parts: Mapping[str, Any]) -> None:
         """Raise InputError if `terrain_mapper` is not a mapper that provides elevations.
 
+        An empty `terrain_mapper` is valid.
+
         Parameters
         ----------
         parts
@@ -130,7 +130,7 @@ class ShadowMapping:
         Raises
         ------
         InputError
-            If it does not.
+            If no mapper has this name or it does not provide elevations.
         """
         if not self.terrain_mapper:
             return
@@ -161,7 +161,8 @@ class ShadowMapping:
         Raises
         ------
         InputError
-            If the Sun is too low or too high for shadows, or the map is too small or too coarse.
+            If the navigation filter does not estimate rocks, the Sun is too low or too high for
+            shadows, or the map is too small or too coarse.
         """
         if not isinstance(navigation, Navigator) or navigation.rocks is None:
             raise InputError(
@@ -206,5 +207,5 @@ def _health_of(briefing: Briefing, camera: str, sun: SunConfirmation) -> ImageQu
     all cameras.
     """
     known = briefing.instruments.get(camera)
-    blur = known.blur_sigma if isinstance(known, CameraInstrument) else _BLUR
-    return ImageQualityCheck(ImageQualitySettings(blur_sigma=blur), sun)
+    blur = known.blur_sigma if isinstance(known, CameraInstrument) else DEFAULT_BLUR_SIGMA
+    return ImageQualityCheck(blur, sun)

@@ -19,7 +19,9 @@ _RAYLEIGH_VARIANCE = 2.0 - 0.5 * np.pi
 
 
 def checked_form(form: str) -> Form:
-    """Check the name of a cover probability model ("rice" or "gaussian"); return it.
+    """Check the name of a model for `cover_probability` ("rice" or "gaussian").
+
+    The name is returned.
 
     Raises
     ------
@@ -39,7 +41,9 @@ def cover_probability(
     radius_sigma: ArrayLike,
     form: Form = "rice",
 ) -> Array:
-    """Return the probability that rocks cover points at given distances.
+    """Return the probability that points lie within the outlines of rocks.
+
+    For each of n rocks, m points are given by their distances.
 
     Parameters
     ----------

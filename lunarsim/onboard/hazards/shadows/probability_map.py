@@ -68,11 +68,12 @@ class HazardPrior:
 
 
 class ProbabilityMap:
-    """Map of the hazard probability, from tracked rocks and from terrain seen clear.
+    """Map of the probability that a rock is under the lander, from camera images.
 
-    Eq. 23 of the shadow EKF paper adds three probabilities, and a sum over rocks can exceed 1. Here
-    the events are independent, and the probabilities that none occurs are multiplied. The result is
-    a proper probability, never above the sum, and equal to it where both are small.
+    The rock may be tracked, missed by the detector on terrain seen clear, or on unobserved terrain.
+    Eq. 23 of the shadow EKF paper adds these three probabilities, and a sum over rocks can exceed
+    1. Here the events are independent: the probabilities that each does not occur are multiplied.
+    The result never exceeds the sum of the probabilities and is nearly equal to it if it is small.
 
     Parameters
     ----------
@@ -83,10 +84,11 @@ class ProbabilityMap:
     prior
         Rocks expected before any observation.
     terrain_height
-        Height of the terrain for the next image, m.
+        Height of horizontal terrain that `add_image` assumes by default, m, which is also the
+        elevation of the hazard map; an attribute that can be changed.
     form
-        Model of the probability that a rock covers a point, "rice" or "gaussian", as in
-        `cover_probability`.
+        Model of the probability that the outline of a rock contains a point, "rice" or "gaussian",
+        as in `cover_probability`.
     """
 
     def __init__(
@@ -168,7 +170,7 @@ class ProbabilityMap:
 
         Combines Eqs. 13-15 of the shadow EKF paper: each size has its expected number and its miss
         rate, which is 1 below the resolution. Rocks whose outline reaches into the footprint count.
-        `footprint` is its radius, m; 0: rocks that cover the point itself.
+        `footprint` is its radius, m; 0: rocks whose outline contains the cell's centre.
         """
         unobserved = self.evidence.expected_unobserved(footprint)
         expected = self._resample_to_map(self.evidence.expected(footprint), unobserved).astype(
@@ -228,8 +230,8 @@ class ProbabilityMap:
         tracker
             Tracker with the tracked rocks.
         footprint
-            Radius of the disc that must be free of rocks, m; 0: probability that a rock covers the
-            point, as in the paper.
+            Radius of the disc that must be free of rocks, m; 0: probability that the outline of a
+            rock contains the cell's centre, as in the paper.
         residual
             Probability of an untracked rock, from `residual` for this footprint (rows, cols);
             default: computed.
@@ -241,7 +243,8 @@ class ProbabilityMap:
     def clear_of(self, rocks: RockTracks, footprint: float) -> Array:
         """Return the probability that no tracked rock is under the lander (rows, cols).
 
-        `footprint` is the radius of the disc that must be free of rocks, m; 0: the point itself.
+        `footprint` is the radius of the disc that must be free of rocks, m; 0: the cell's centre.
+        Rocks smaller than the minimum diameter of a hazard do not count.
         """
         clear = np.ones(self.grid.shape)
         self._multiply_clear_probability(clear, footprint, rocks)
@@ -253,7 +256,8 @@ class ProbabilityMap:
         """Multiply the probability that cells are clear by that for each tracked rock.
 
         `clear` (rows, cols) is updated. `footprint` is the radius of the disc that must be free of
-        rocks, m.
+        rocks, m. A rock counts with the probability that it exists and is large enough to be a
+        hazard.
         """
         model, radius = self.model, rocks.radius
         # The filter treats the shape error of each observation as independent. The part that does
@@ -286,8 +290,9 @@ class ProbabilityMap:
     def ratios(self) -> NDArray[np.float32]:
         """Return the ratio of untracked rocks to those expected without observation.
 
-        The result (sizes, rows, cols) has the cells of the map; it is below 1 where terrain was
-        seen clear.
+        The result (sizes, rows, cols) has the cells of the map, as explained for
+        `ClearEvidence.ratios`: it is below 1 where terrain was seen clear, 1 where it was not
+        observed, and 1 or more on dark terrain.
         """
         return np.stack([self._resample_to_map(of_size, 1.0) for of_size in self.evidence.ratios()])
 

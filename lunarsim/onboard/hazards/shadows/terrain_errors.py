@@ -39,8 +39,9 @@ _SQUARES_PER_SIDE, _MIN_SIGNIFICANCE, _MAX_SLOPE_SIGMA = 6, 2.5, 0.02
 def fit_terrain_plane(surface: TerrainSurface) -> GroundPlane | None:
     """Fit a least-squares plane to the elevations of a map.
 
-    The result is None if too little is observed, if the slope exceeds that of landing terrain, or
-    if the slope is too uncertain, as estimated by a jackknife over squares of the map.
+    The result is None without elevations, if less than a quarter of the map is observed, if the
+    tangent of the slope exceeds 0.3, or if the slope is too uncertain, as estimated by a jackknife
+    over squares of the map.
     """
     if surface.elevation is None:
         return None
@@ -180,8 +181,8 @@ def height_variance_growth(rocks: RockFilter) -> float:
     """Estimate the growth of the terrain height variance per metre of distance, m^2/m.
 
     The estimate is the mean squared height difference of neighbouring rocks, plus the variance of
-    its error, per distance. It is averaged with the prior, which is returned for fewer than two
-    rocks.
+    its error, per metre of their distance. It is averaged with the prior of the filter `rocks`,
+    which is returned for fewer than two rocks.
     """
     prior = rocks.prior_variance_growth
     if rocks.count < 2:

@@ -128,6 +128,11 @@ class RockTracker:
             Centres (n, 2) and their standard deviation per axis (n,), m.
         radius, radius_sigma
             Radius and its standard deviation (n,), m.
+
+        Raises
+        ------
+        InputError
+            If a radius or a standard deviation is not positive and finite.
         """
         xy = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
         n = len(xy)
@@ -167,7 +172,8 @@ class RockTracker:
         Raises
         ------
         InputError
-            If the image is older than the last one.
+            If the image is older than the last one, or if `sun` is not a unit vector or is normal
+            to the plane.
         """
         s = self.settings
         self._propagate(camera, plane.level_direction(unit_vector(sun)), time)
@@ -226,10 +232,11 @@ class RockTracker:
         return found
 
     def _is_confirmed(self, rock: IntArray, in_view: int) -> BoolArray:
-        """Return which of the given rocks (n,) are certain and large enough.
+        """Return which of the given rocks (n,) exist with p > 0.9 and are large enough.
 
-        `rock` (n,) are indices and `in_view` is the number of rocks in view. The dark patch of a
-        rock below the minimum radius may be the shadow of a hazard with a wrong radius.
+        `rock` (n,) are indices and `in_view` is the number of rocks in view, on which the minimum
+        radius depends. The dark patch of a rock below the minimum radius may be the shadow of a
+        hazard with a wrong radius.
         """
         s = self.settings
         least = s.min_radius * (1.0 if in_view < s.few else _DROP_RADIUS_RATIO)
@@ -292,7 +299,10 @@ class RockTracker:
         )  # fmt: skip
 
     def count_large_rocks(self, diameter: float, grid: Grid) -> int:
-        """Count the probable rocks on a grid with at least a given diameter (m)."""
+        """Count the tracked rocks on a grid with at least a given diameter (m).
+
+        Only rocks with an existence probability above 0.5 count.
+        """
         f = self.filter
         there = (self.existence > 0.5) & (2.0 * f.radius >= diameter)
         return int(np.count_nonzero(there & grid.contains(f.xy)))
@@ -316,8 +326,8 @@ class RockTracker:
     def _passes_monitors(self, found: UpdateOutcome, expected: UpdateOutcome, time: float) -> bool:
         """Update the innovation monitors; return whether the rocks can be kept.
 
-        `found` is the outcome of the position update, and `expected` whether enough rocks were
-        found. `time` is that of the image, s.
+        `found` is the outcome of the position update, and `expected` that of the test whether
+        enough of the expected rocks were found. `time` is that of the image, s.
         """
         remedies = [
             self.filter.monitor_image("places", time, found),
@@ -334,9 +344,11 @@ class RockTracker:
     ) -> BoolArray:
         """Return which pairs (p,) have the image offset that most pairs have in common.
 
-        `detection` and `rock` (p,) are the indices of the pairs; `projection` is that of all rocks
-        into the image. A pose error moves all rocks of an image together, so a wrong pair differs
-        from the others even if its gate is wide.
+        The offset is that of the detection from the predicted pixel of the rock, compared with the
+        median over all pairs. `detection` and `rock` (p,) are the indices of the pairs;
+        `projection` is that of all rocks into the image. A pose error moves all rocks of an image
+        together, so a wrong pair differs from the others even if its gate is wide. With fewer than
+        four pairs, all are accepted.
         """
         if len(detection) < 4:
             return np.ones(len(detection), bool)
@@ -431,8 +443,8 @@ class RockTracker:
     ) -> BoolArray:  # fmt: skip
         """Start tracks from accurate detections without a rock; return which started (d,).
 
-        `is_new` (d,) marks the detections without a rock, and `points` (d, 3) are their positions
-        on the terrain, m.
+        `is_new` (d,) marks the detections without a rock, `points` (d, 3) are the positions of all
+        detections on the terrain, m, and `radius_variance` (d,), m^2, is that of their radii.
         """
         s = self.settings
         # The position error must be a fraction of the distance between rocks.
@@ -490,9 +502,9 @@ class RockTracker:
         """Replace the position of rocks seen once by that of the second observation.
 
         `rock` and `detection` (m,) are the rocks and their detections; `radius_variance` (d,), m^2,
-        is that of all detections. The first position is biased towards the Sun, because only
-        patches that appear large enough start a track. Averaging both would appear as a motion of
-        the lander.
+        is that of all detections. Rocks with an inaccurate second observation keep their position.
+        The first position is biased towards the Sun, because only patches that appear large enough
+        start a track. Averaging the two positions would appear as a motion of the lander.
         """
         pixel_covariance = detections.independent_covariance[detection]
         points = self.filter.terrain_points(camera, detections.pixel[detection])
@@ -540,10 +552,12 @@ class RockTracker:
     def _split(
         self, detections: Detections, points: Array, camera: CameraModel, radius_variance: Array
     ) -> int:
-        """Replace a rock by the smaller ones that a sharper image resolves.
+        """Replace each rock that a sharper image resolves into smaller rocks by these.
 
-        `points` (d, 3) are the positions of the detections on the terrain, m. Returns the number of
-        rocks added, which are the last in the filter.
+        A rock is replaced if at least two detections lie within it, all smaller than 0.6 of its
+        radius. `points` (d, 3) are the positions of the detections on the terrain, m, and
+        `radius_variance` (d,), m^2, is that of their radii. Returns the number of rocks added,
+        which are the last in the filter.
         """
         f = self.filter
         if f.count == 0 or len(detections) < 2:

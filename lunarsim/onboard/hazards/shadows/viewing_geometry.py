@@ -191,7 +191,8 @@ def _in_windows(corner_sums: Array, row_count: int, col_count: int) -> Array:
 def glare(counts: NDArray[Any]) -> BoolArray:
     """Return which pixels are in or near large saturated patches (height, width).
 
-    `counts` (height, width) is the image.
+    `counts` (height, width) is the image. Pixels at the image's maximum count as saturated, and a
+    patch is large if it contains a square of 5 x 5 pixels.
     """
     most = (counts >= np.nanmax(counts)).astype(np.uint8)
     inner = cv2.erode(most, np.ones((_GLARE_PX, _GLARE_PX), np.uint8))
@@ -203,6 +204,8 @@ def blind_regions(
     counts: NDArray[Any], detections: Detections, sharpness: Array, area: Array, cover: float
 ) -> BoolArray:
     """Return the pixels in which rock shadows would not be visible (height, width).
+
+    These are large saturated patches, and cells with far fewer shadows than the rest of the image.
 
     Parameters
     ----------

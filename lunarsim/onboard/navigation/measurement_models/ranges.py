@@ -38,7 +38,8 @@ def update_with_range(
         Range and its standard deviation, m. The reading is ignored if the range is NaN, or the
         deviation is not positive or too large.
     beam
-        Unit vector of the beam (3,), body axes.
+        Unit vector of the beam (3,), body axes. The reading is ignored if the beam points less than
+        6 deg below the horizon.
     elevation
         Elevation of the terrain in the site frame, m.
     block

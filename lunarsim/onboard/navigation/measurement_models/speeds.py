@@ -42,8 +42,9 @@ def update_with_speeds(
 ) -> UpdateOutcome:
     """Update the error state with Doppler speeds along velocimeter beams.
 
-    A beam b (body axes) measures ``b' R' v``; a small rotation of the body changes this by the
-    product of ``(b x R' v)'`` and the rotation.
+    A beam b (body axes) measures ``b' R' v``, where R is the rotation from body axes to ENU and v
+    the velocity; a small rotation of the body changes this by the product of ``(b x R' v)'`` and
+    the rotation.
 
     Parameters
     ----------

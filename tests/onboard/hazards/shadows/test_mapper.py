@@ -15,7 +15,6 @@ from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, Shadow
 from lunarsim.onboard.hazards.shadows.viewing_geometry import cell_centres
 from lunarsim.onboard.perception.image_quality import (
     ImageQualityCheck,
-    ImageQualitySettings,
     ImageRejection,
 )
 from lunarsim.onboard.perception.shadow_model import ShadowModel
@@ -426,7 +425,7 @@ def test_a_map_counts_the_point_spread_that_its_camera_is_evaluated_by(scene):
     sharpest = {}
     for blur in (0.6, 0.7):
         mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL, HazardPrior(0.05, 0.5))
-        health = ImageQualityCheck(ImageQualitySettings(blur_sigma=blur))
+        health = ImageQualityCheck(blur)
         mapper = ShadowMapper(tracker_at(PLACE), mapping, SUN, 1.0, health=health)
         see(mapper, camera, honest[0], 0.0)
         assert not mapper.rejected_images
