@@ -25,7 +25,8 @@ class InputError(ValueError):
     value
         Value that the user gave.
     problem
-        Clause that follows the field: ``must be positive``.
+        Clause that follows the field: ``must be positive``. A reason after ``, because`` follows
+        the value in the message.
     remedy
         Sentence with the remedy; it can be omitted if the problem implies it.
     show_value
@@ -37,6 +38,8 @@ class InputError(ValueError):
     rocks.cover: must be at most 0.2, got 0.5.
     >>> print(InputError("jobs", 0, "must be 1 or more", "Omit it to use every processor."))
     jobs: must be 1 or more, got 0. Omit it to use every processor.
+    >>> print(InputError("optimal.region", 10.0, "must be 0, because it is not supported"))
+    optimal.region: must be 0, got 10.0, because it is not supported.
     >>> print(InputError("sun.glow", 0.5, "is an unknown key", show_value=False))
     sun.glow: is an unknown key.
     """
@@ -50,7 +53,8 @@ class InputError(ValueError):
         self.remedy = remedy
         self.show_value = show_value
         got = f", got {_format_value(value)}" if show_value else ""
-        message = f"{field}: {problem}{got}."
+        what, because, reason = problem.partition(", because ")
+        message = f"{field}: {what}{got}{because}{reason}."
         super().__init__(f"{message} {remedy}" if remedy else message)
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str, str, bool]]:

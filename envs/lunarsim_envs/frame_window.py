@@ -56,7 +56,7 @@ class FrameWindow:
                 "render_mode", "human",
                 "needs a display and a GUI toolkit for Matplotlib (on Debian: apt install "
                 "python3-tk)",
-                "Without these, use 'rgb_array'.",
+                "Without these, use 'rgb_array'.", show_value=False,
             )  # fmt: skip
         self._seconds = 1.0 / fps
         self._figure: Any = None

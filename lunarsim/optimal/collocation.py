@@ -106,7 +106,7 @@ def collocate(
                 f"must be {other}, because `collocate` does not support this constraint",
             )
     if duration is not None and not (is_number(duration) and duration > 0.0):
-        raise InputError("optimal.duration", duration, "must be positive and finite")
+        raise InputError("optimal.duration", duration, "must be a positive, finite number")
     guess = duration or 0.9 * minimum_effort_time(descent)
     units = Units(float(np.linalg.norm(descent.displacement)) + 1.0, guess, descent.mass)
     variables, constraints, low, high = _program(descent, units, intervals, duration)

@@ -197,7 +197,7 @@ def minimize_propellant(
         If the solver fails; a `RelaxationError` if its solution violates the thrust limits.
     """
     if not (is_number(elapsed) and elapsed >= 0.0):
-        raise InputError("optimal.elapsed", elapsed, "must be 0 or more and finite")
+        raise InputError("optimal.elapsed", elapsed, "must be a finite number of 0 or more")
     before = planner.solves
     path = _search_warm(planner, descent, last, elapsed, half_spaces) if last is not None else None
     if path is None:

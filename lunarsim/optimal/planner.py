@@ -93,7 +93,7 @@ class Planner:
             If the solver fails.
         """
         if not (is_number(duration) and 0.0 < duration <= LARGEST):
-            problem = f"must be positive and at most {LARGEST:g} s"
+            problem = f"must be a positive number of at most {LARGEST:g} s"
             raise InputError("optimal.duration", duration, problem)
         if descent.violates_glideslope and not nearest:
             return None

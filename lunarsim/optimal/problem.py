@@ -40,7 +40,7 @@ class Cone:
         if rows == 0:
             raise InputError("optimal.cone", self.normals, expected)
         if not (is_number(self.drop) and self.drop >= 0.0):
-            raise InputError("optimal.cone.drop", self.drop, "must be 0 or more and finite")
+            raise InputError("optimal.cone.drop", self.drop, "must be a finite number of 0 or more")
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class Descent:
             value = getattr(self, name)
             if not (is_number(value) and 0.0 < value <= LARGEST):
                 raise InputError(
-                    f"optimal.{name}", value, f"must be positive and at most {LARGEST:g}"
+                    f"optimal.{name}", value, f"must be a positive number of at most {LARGEST:g}"
                 )
         for name in (
             "thrust_min",

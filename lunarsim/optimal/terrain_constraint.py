@@ -280,7 +280,7 @@ def _initial_paths(
 def _check_clearance(clearance: float) -> None:
     """Raise InputError if a clearance is negative or not finite."""
     if not (is_number(clearance) and clearance >= 0.0):
-        raise InputError("optimal.clearance", clearance, "must be 0 or more and finite")
+        raise InputError("optimal.clearance", clearance, "must be a finite number of 0 or more")
 
 
 def _check_ends(descent: Descent, terrain: TerrainRaster, clearance: float) -> None:

@@ -80,7 +80,7 @@ WRONG = {
     ),
     "shadow mapper without rocks navigation": (
         camera_lander(navigation={"kind": "fixes"}),
-        "navigation.kind", "fixes", "must be 'rocks', because mappers.rocks",
+        "navigation.kind", "fixes", "because mappers.rocks",
     ),
     "navigation without what it needs": (
         {"sensors": {"imu": IMU, "flash": FLASH}, "navigation": {"kind": "fixes"}},

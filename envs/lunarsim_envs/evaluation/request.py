@@ -108,7 +108,10 @@ def evaluation_study(
         flown = own()
     elif changes:
         raise InputError(
-            "--set", changes[0], f"needs --scenario, because {name} has no default scenario"
+            "--set",
+            changes[0],
+            f"needs --scenario, because {name} has no default scenario",
+            show_value=False,
         )
     if flown is not None:
         flown = with_changes(flown, tuple(changes))

@@ -203,7 +203,7 @@ class RigidDescent:
                 f"{low} to {high} N",
             )  # fmt: skip
         if not (is_number(self.gravity) and self.gravity > 0.0):
-            raise InputError("optimal.gravity", self.gravity, "must be positive and finite")
+            raise InputError("optimal.gravity", self.gravity, "must be a positive, finite number")
         if not (is_number(self.torque_share) and 0.0 < self.torque_share <= 1.0):
             raise InputError(
                 "optimal.torque_share", self.torque_share, "must be more than 0 and at most 1"
@@ -211,7 +211,7 @@ class RigidDescent:
         for name in ("drop", "reserve"):
             if not (is_number(getattr(self, name)) and getattr(self, name) >= 0.0):
                 raise InputError(
-                    f"optimal.{name}", getattr(self, name), "must be 0 or more and finite"
+                    f"optimal.{name}", getattr(self, name), "must be a finite number of 0 or more"
                 )
         for name in ("max_tilt", "glideslope"):
             angle = getattr(self, name)
@@ -223,7 +223,7 @@ class RigidDescent:
                 )
         rate = self.max_rate
         if rate is not None and not (is_number(rate) and rate > 0.0):
-            raise InputError("optimal.max_rate", self.max_rate, "must be positive and finite")
+            raise InputError("optimal.max_rate", self.max_rate, "must be a positive, finite number")
 
     def _check_start(self) -> None:
         """Raise InputError if the initial state violates a constraint."""
