@@ -81,7 +81,7 @@ def scanner_covariance(instrument: LidarInstrument) -> Array:
     specification, but are at least realistic minima.
     """
     i = instrument
-    stated = np.array([i.range_bias, *np.full(3, i.boresight), i.latency])
+    stated = np.array([i.range_bias_sigma, *np.full(3, i.boresight_sigma), i.latency_sigma])
     return np.diag(np.maximum(stated, MIN_SCANNER_SIGMAS) ** 2)
 
 
