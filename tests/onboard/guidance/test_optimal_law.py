@@ -218,7 +218,7 @@ def test_plans_are_made_under_the_limits_of_the_approach(searches):
     OptimalLaw(intervals=10).build(told, 0.0).command(estimate(), END, 0.0, 34.0)
     d, throttle = searches[0][0], LANDER.thrust_max - LANDER.thrust_min
     assert d.dry_mass == LANDER.dry_mass + 40.0
-    assert (d.glideslope, d.max_tilt, d.drop) == (0.3, 0.6, 0.5)
+    assert (d.glideslope, d.max_tilt, d.apex_depth) == (0.3, 0.6, 0.5)
     assert d.thrust_min == LANDER.thrust_min + 0.1 * throttle
     assert d.thrust_max == LANDER.thrust_max - 0.1 * throttle
     assert d.thrust_slack == 0.1 * throttle
@@ -256,7 +256,7 @@ def test_a_plan_begins_when_its_first_command_takes_effect(searches):
     got = flight.command(estimate(), END, 0.0, 34.0)
     path = searches[0][1]
     assert np.allclose(path.position[0], R + 0.5 * V, atol=1e-5)
-    assert np.allclose(got, path.thrust[0], atol=1e-4)
+    assert np.allclose(got, path.thrust_acceleration[0], atol=1e-4)
     assert flight.arrival == path.duration
 
 
