@@ -51,7 +51,7 @@ def look(scene, times, sun=SUN, counts=None):
 def test_where_no_rock_is_tracked_images_show_no_clear_terrain(scene):
     """From picture to picture the lander errs by more than a rock: lit ground is anywhere."""
     camera, honest = scene
-    tracker = tracker_at(PLACE, max_birth_sigma=1e-6, min_radius=5.0, few=0)
+    tracker = tracker_at(PLACE, max_birth_sigma=1e-6, min_radius=5.0, min_rocks_in_view=0)
     mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL, HazardPrior(0.05, 0.5))
     mapper = ShadowMapper(tracker, mapping, SUN, 1.0)
     for k in range(5):
@@ -323,7 +323,7 @@ def test_a_plane_in_its_own_shadow_shows_nothing():
 def told(mapper):
     """Return `unseen` of what is published, which is what would be worked out anew."""
     unseen = mapper.evidence().undetected_probability
-    anew = mapper.probability.residual(mapper.footprint).astype(np.float32)
+    anew = mapper.probability.untracked_rock_probability(mapper.footprint).astype(np.float32)
     np.testing.assert_array_equal(unseen, anew)
     np.testing.assert_array_equal(unseen, mapper.evidence().undetected_probability)
     return unseen.copy()
