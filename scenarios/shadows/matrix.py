@@ -52,7 +52,7 @@ class ShadowMatrixTask:
     field: int
     seed: int
     path: str = "modified"
-    method: str = "own"
+    method: str = "inferred"
 
     @property
     def key(self) -> str:
@@ -270,9 +270,9 @@ def show(tasks: list[ShadowMatrixTask], results: FlightStore, console: Console) 
 @click.option("--path", type=click.Choice(("nominal", "modified")), default="modified",
               show_default=True,
               help="Descent path of the shadow EKF paper: nominal or modified.")  # fmt: skip
-@click.option("--method", type=click.Choice(tuple(METHODS)), default="own", show_default=True,
-              help="Rock shapes of the mapper; own: inferred from shadows; paper: hemispheres; "
-              "otherwise those that the mission expects.")  # fmt: skip
+@click.option("--method", type=click.Choice(tuple(METHODS)), default="inferred", show_default=True,
+              help="Rock shapes of the mapper; inferred: from the shadows; expected: those "
+              "that the mission expects; paper: hemispheres.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
               help="Number of parallel processes; it does not change the results.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,

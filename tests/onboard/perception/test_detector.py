@@ -335,7 +335,7 @@ def test_real_image_gives_boulders():
     labels = json.loads((real.DATA / f"{real.NAME}_labels.json").read_text())
     result = real.match_labels(seen, labels)
     wide = result["width"] >= 3
-    assert result["true"] / result["finds"] >= 0.9
+    assert result["true"] / result["detections"] >= 0.9
     assert result["hit"][wide].mean() >= 0.75
     angle, _, _ = mean_direction(shadow_directions(image, seen))
     assert abs(np.degrees(angle) + 34.8) < 10.0
