@@ -144,8 +144,8 @@ def test_starts_are_those_drawn_plainly(worlds):
             world, target, off, velocity = plain.begun(key[i], flight, c.start, c.target_area, 2)
             assert lanes.world[i] == world
             assert lanes.target[i, :2] == pytest.approx(target, abs=1e-12)
-            frame = worlds.relief_frame
-            relief = RasterGround(worlds.reliefs[world], frame).elevation(target)
+            frame = worlds.rock_free_frame
+            relief = RasterGround(worlds.rock_free_terrains[world], frame).elevation(target)
             assert lanes.target[i, 2] == pytest.approx(relief[0], abs=1e-9)
             assert lanes.y[i, :3] - lanes.target[i] == pytest.approx(off, abs=1e-9)
             assert lanes.y[i, 3:6] == pytest.approx(velocity, abs=1e-12)

@@ -40,7 +40,7 @@ def test_sites_are_evaluated_where_they_truly_are():
     e = evidence(seen=seen, slope=np.linspace(0.1, 0.9, 81).reshape(9, 9))
     # A cell of the map at (x, y) truly lies at (x - 1, y + 1).
     found = sample_sites(e, truth, (1.0, -1.0, 9.0), 1000, 5, np.random.default_rng(1))
-    x, y = np.moveaxis(e.level.grid.centres(), -1, 0)
+    x, y = np.moveaxis(e.horizontal_plane.grid.centres(), -1, 0)
     taken = seen & (y + 1.0 < 2.9)
     assert taken.sum() == len(found) > 20
     assert np.array_equal(found.safe, (x - 1.0 < 1.9)[taken])

@@ -105,7 +105,7 @@ def test_scene_cache_is_exact_and_rejects_other_scenes(script, tmp_path):
     again = kept.load_or_evaluate(judge, deck, file, 1, console)
     assert drawn == deck[:1]
     for one, same in zip(first, again, strict=True):
-        assert (one.scene, one.cover) == (same.scene, same.cover)
+        assert (one.scene, one.rough_fraction) == (same.scene, same.rough_fraction)
         assert all(np.array_equal(getattr(one, n), getattr(same, n)) for n in kept.ARRAYS)
     with pytest.raises(click.ClickException, match="other scenes"):
         kept.load_or_evaluate(judge, other, file, 1, console)
@@ -154,10 +154,10 @@ def test_held_out_rows_are_evaluated_by_a_fit_without_them(script, monkeypatch):
     )
     assert not claimed[~sites.known].any()
     # Sites that cannot be classified as unsafe are claimed only if they are certainly safe.
-    assert not claimed[~sites.doomed & (p < ALMOST_CERTAINLY_SAFE_P)].any()
-    assert study.predict_safety(model, replace(sites, doomed=~sites.doomed))[1][
-        claimed & (p >= ALMOST_CERTAINLY_SAFE_P)
-    ].all()
+    assert not claimed[~sites.may_be_claimed_unsafe & (p < ALMOST_CERTAINLY_SAFE_P)].any()
+    assert study.predict_safety(
+        model, replace(sites, may_be_claimed_unsafe=~sites.may_be_claimed_unsafe)
+    )[1][claimed & (p >= ALMOST_CERTAINLY_SAFE_P)].all()
     assert (p <= expit(sites.features @ np.array(model.weights).T).min(axis=1) + 1e-9).all()
     # A constant has no calibration error and no skill.
     flat = study.calibration_metrics(np.full(len(p), sites.safe.mean()), sites.safe)

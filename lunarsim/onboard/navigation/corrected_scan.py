@@ -119,7 +119,7 @@ class CorrectedScan:
             scan, state.position.copy(), state.attitude.copy(), state.velocity.copy(), state.rate
         )
         return (
-            corrected.moved(np.concatenate((np.zeros(6), scanner_errors)))
+            corrected.corrected_by(np.concatenate((np.zeros(6), scanner_errors)))
             if scanner_errors.any()
             else corrected
         )
@@ -137,7 +137,7 @@ class CorrectedScan:
             velocity=rotation @ self.velocity,
         )
 
-    def moved(self, error: Array) -> CorrectedScan:
+    def corrected_by(self, error: Array) -> CorrectedScan:
         """Return the scan with estimated errors (11,) of pose and scanner added.
 
         The errors are position (3, m), small rotation in body axes (3, rad), range (m), boresight

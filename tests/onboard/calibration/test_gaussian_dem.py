@@ -111,8 +111,8 @@ def test_outside_the_domain_it_is_a_bound_and_the_map_says_so():
     p, known = calibrated_safety(sparse)
     assert not known.any()
     none = np.exp(-sparse.expected_roughness_violations)
-    assert (sparse.outside_domain_bound() == np.minimum(sparse.level.p_safe, none)).all()
-    assert (p <= np.minimum(sparse.level.p_safe, none) + 1e-6).all()
+    assert (sparse.outside_domain_bound() == np.minimum(sparse.horizontal_plane.p_safe, none)).all()
+    assert (p <= np.minimum(sparse.horizontal_plane.p_safe, none) + 1e-6).all()
     # A noise or a spacing that no scan of the fit had.
     for odd in (replace(sparse, density=sparse.density * 100, noise=1.0),
                 replace(sparse, density=sparse.density * 100, spacing=9.0)):  # fmt: skip
@@ -218,8 +218,8 @@ def test_the_domain_ends_where_holes_may_gape_or_the_lander_is_another():
 def test_nothing_exceeds_what_the_planes_leave_of_slope_or_roughness():
     e = evidence(slope=0.1, rough=0.1, level=6.0, planes=6.0)
     for name in ("p_slope", "p_roughness"):
-        some = np.full(e.level.grid.shape, 0.01, np.float32)
-        doubtful = replace(e, planes=replace(e.planes, **{name: some}))
+        some = np.full(e.horizontal_plane.grid.shape, 0.01, np.float32)
+        doubtful = replace(e, support_planes=replace(e.support_planes, **{name: some}))
         assert doubtful.observed_terrain_bound() == pytest.approx(0.04, rel=1e-5)
         assert (calibrated_safety(doubtful)[0] <= 0.0401).all()
 
@@ -266,7 +266,8 @@ def test_evidence_that_does_not_belong_together_is_refused():
     other = Grid(1.0, 0.0, 0.5, SIDE, SIDE)
     for name, value in (
         ("noise", 0.0), ("noise", np.nan), ("spacing", np.inf), ("density", np.ones((2, 2))),
-        ("planes", replace(e.planes, grid=other)), ("nominal", replace(e.nominal, grid=other)),
+        ("support_planes", replace(e.support_planes, grid=other)),
+        ("nominal", replace(e.nominal, grid=other)),
     ):  # fmt: skip
         with pytest.raises(InputError, match=rf"calibration\.{name}"):
             replace(e, **{name: value})

@@ -218,8 +218,8 @@ def test_look_angles_are_those_of_the_body():
     leant = attitude_from_thrust(quat_rotate(back, UP), 0.0)
     lower, _ = window.angles(estimate((0.0, 0.0, 100.0), attitude=leant), west[:1])
     assert np.rad2deg(lower[0]) == pytest.approx(75.0)
-    assert window.sees(here, west).tolist() == [True, True, False]
-    assert not window.sees(estimate(attitude=leant), west[0])
+    assert window.is_visible(here, west).tolist() == [True, True, False]
+    assert not window.is_visible(estimate(attitude=leant), west[0])
 
 
 def test_a_window_needs_an_opening():

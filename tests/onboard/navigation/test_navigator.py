@@ -461,4 +461,4 @@ def test_unspecified_scanner_error_is_detected(world, fault):
         descent = Descent(world, seed, lidar=replace(LIDAR, **fault)).fly(5.0)
         sigma = np.sqrt(np.diag(descent.estimate().covariance))[KEEP]
         assert descent.estimate().lost or (np.abs(descent.error()) < 5.0 * sigma).all()
-        assert descent.filter.found
+        assert descent.filter.has_located

@@ -73,7 +73,7 @@ def test_jacobians_match_finite_differences():
     for i in range(11):
         error = np.zeros(11)
         error[i] = 1e-6
-        moved.append((seen.moved(error).points()[0] - p) / 1e-6)
+        moved.append((seen.corrected_by(error).points()[0] - p) / 1e-6)
     moved = np.array(moved).T
     assert seen.point_jacobian(p) == pytest.approx(moved, abs=1e-3)
     assert seen.jacobian(p[None], n[None])[0] == pytest.approx(n @ moved, abs=1e-3)

@@ -41,7 +41,7 @@ def test_model_of_half_spheres_from_above_is_the_papers():
     # The mean of half an ellipse lies at 4 / (3 pi) of its axis.
     assert unit.along == pytest.approx(-4.0 / (3.0 * np.pi) * (tip + rim), rel=0.02)
     assert unit.width == pytest.approx(np.sqrt(12.0) * 0.5, rel=0.05)
-    assert unit.side == pytest.approx(0.0, abs=0.05)
+    assert unit.across == pytest.approx(0.0, abs=0.05)
 
 
 def test_model_of_cubes_from_above_is_a_rectangle():
@@ -62,7 +62,7 @@ def test_a_rock_hides_its_shadow_from_a_camera_on_the_suns_side():
     assert (np.diff(area) > 0.0).all()
     assert (model.patch(np.pi, depression).area >= area).all()
     # Seen from the left the patch leans to the right, and the other way round.
-    right, left = model.patch(np.pi / 2, 0.4).side, model.patch(-np.pi / 2, 0.4).side
+    right, left = model.patch(np.pi / 2, 0.4).across, model.patch(-np.pi / 2, 0.4).across
     assert right == pytest.approx(-left)
     assert right > 0.1
 

@@ -42,7 +42,7 @@ def taught(model, rng, told=None, slope=0.0):
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("model", [HALF_SPHERES, ShapeMixture(SUN)], ids=["one", "mixture"])
 def test_of_terrain_above_the_camera_no_pixel_is_seen(model):
-    q = model.visible_pixels(np.ones(3), 0.3, np.array([-0.04, 0.0, 0.5]), 0.05)
+    q = model.visible_q(np.ones(3), 0.3, np.array([-0.04, 0.0, 0.5]), 0.05)
     assert q[0] == q[1] == 0.0
     assert q[2] > 1.0
 

@@ -198,7 +198,7 @@ class ClearEvidence:
             model_on_plane(self.model, plane, sun),
             model_on_plane(self._low_rocks, plane, sun),
         )
-        sharpness = model.visible_pixels(
+        sharpness = model.visible_q(
             1.0, azimuth, depression, pixel * self.rates.relative_edge_width(blur)
         )
         view, place = plane.level_view(view), plane.level_points(place)
@@ -410,7 +410,7 @@ def _shadow_test_points(
         (0.0, -_CORE_WIDTH_FRACTION),
     )
     for share, (a, b) in product(_RADIUS_RATIOS, cross):
-        along, side = share * (middle + a * length), share * (unit.side + b * unit.width)
+        along, side = share * (middle + a * length), share * (unit.across + b * unit.width)
         points += [along * s[0] - side * s[1], along * s[1] + side * s[0]]
     return points
 

@@ -395,7 +395,7 @@ class RockTracker:
         )
         model = model_on_plane(self.model, plane, sun)
         miss = self.rates.false_negative(
-            model.visible_pixels(self.filter.radius[lost], azimuth, depression, pixel)
+            model.visible_q(self.filter.radius[lost], azimuth, depression, pixel)
         )
         # A rock whose shadow merges with another is not missing.
         unit = model.patch(azimuth, depression)

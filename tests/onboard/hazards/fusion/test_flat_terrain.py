@@ -38,7 +38,7 @@ def test_terrain_that_was_not_measured_or_measured_worse_than_any_that_was_tried
 @pytest.mark.parametrize("planes", [-1.5, -2.5, -6.0])
 def test_terrain_whose_planes_are_hardly_ever_level_is_no_likelier_than_they_allow(planes):
     judged = evidence(planes=planes, **LEVEL)
-    most = 4.0 * min(judged.planes.p_slope.max(), judged.planes.p_roughness.max())
+    most = 4.0 * min(judged.support_planes.p_slope.max(), judged.support_planes.p_roughness.max())
     assert level_map(judged, 0.9) == pytest.approx(min(most, 0.9), rel=1e-3)
 
 

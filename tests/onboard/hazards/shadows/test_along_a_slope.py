@@ -157,8 +157,8 @@ def viewing_angles(scene):
 def test_a_rock_that_is_not_seen_is_missed_by_what_it_shows_on_a_slope(scene):
     _, model, (azimuth, depression, pixel) = viewing_angles(scene)
     rates = DetectionRates()
-    radius = 2.2 / model.visible_pixels(1.0, azimuth, depression, pixel)[0]
-    level = MODEL.visible_pixels(radius, azimuth, depression, pixel)
+    radius = 2.2 / model.visible_q(1.0, azimuth, depression, pixel)[0]
+    level = MODEL.visible_q(radius, azimuth, depression, pixel)
     expected = rates.false_negative(np.array([2.2]))[0]
     assert 0.6 < rates.false_negative(level)[0] < 1.0
     assert abs(rates.false_negative(level)[0] - expected) > 0.05
@@ -169,7 +169,7 @@ def test_a_rock_is_not_missing_whose_shadow_on_a_slope_falls_into_the_dark(scene
     view, model, (azimuth, depression, _) = viewing_angles(scene)
     unit = model.patch(azimuth, depression)
     towards = SUN[:2] / np.hypot(*SUN[:2])
-    off = 2.0 * (unit.along[0] * towards + unit.side[0] * np.array([-towards[1], towards[0]]))
+    off = 2.0 * (unit.along[0] * towards + unit.across[0] * np.array([-towards[1], towards[0]]))
     middle = np.array([*off, off @ np.array(PLANE.gradient)])
     u, v = np.rint(view.pinhole.project((middle - view.position)[None] @ view.axes)[0]).astype(int)
     labels = np.zeros((view.height, view.width), np.int32)

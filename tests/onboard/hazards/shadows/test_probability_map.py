@@ -41,7 +41,7 @@ def test_map_begins_with_the_prior_and_falls_by_eq_14():
     seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
     view = camera.view(state)
     sharp.add_image(view, SUN, seen)
-    q = float(MODEL.visible_pixels(1.0, 0.0, np.pi / 2, 150.0 / camera.fx))
+    q = float(MODEL.visible_q(1.0, 0.0, np.pi / 2, 150.0 / camera.fx))
     resolved = 2.0 * 2.0 / q
     expected = golombek_cover(0.4, 0.07) - golombek_cover(max(resolved, 0.4), 0.07)
     middle = sharp.probability(tracker)[80, 80]

@@ -52,7 +52,7 @@ def found(world, place, degrees):
     off = np.linalg.norm(seen.terrain_xy[:, None] - places_of(world.terrain), axis=2)
     pixel = np.linalg.norm(place) / eye.fx
     away = np.arctan2(place[0], place[1]) - 1.2
-    q = CUBES.visible_pixels(0.5, away, np.radians(40.0), pixel)
+    q = CUBES.visible_q(0.5, away, np.radians(40.0), pixel)
     return float((off.min(0, initial=np.inf) < 1.0).mean()), float(q)
 
 
