@@ -234,8 +234,9 @@ def register_scan(
 
     If the position of the scan is uncertain, the fit starts at its most probable horizontal shift;
     if several shifts are plausible, only heights are fitted. After each correction, the scan is
-    averaged over the map grid again, until the terrain moves by less than 1/20 of the grid spacing. The information is reduced by the correlation of the residuals. It refers to the
-    errors of `corrected`, not of the updated scan. If no grid point agrees, `used` of the fit is 0.
+    averaged over the map grid again, until the terrain moves by less than 1/20 of the grid spacing.
+    The information is reduced by the correlation of the residuals. It refers to the errors of
+    `corrected`, not of the updated scan. If no grid point agrees, `used` of the fit is 0.
 
     Parameters
     ----------
