@@ -98,7 +98,7 @@ def test_distortion_that_can_be_taken_out_is_taken():
 
 
 @pytest.mark.parametrize(
-    ("told", "name"),
+    ("changes", "name"),
     [
         ({"sun": {"elevation_deg": 1.9}}, "sun.elevation_deg"),
         ({"sun": {"elevation_deg": 80.5}}, "sun.elevation_deg"),
@@ -108,10 +108,10 @@ def test_distortion_that_can_be_taken_out_is_taken():
         ({"sensors": {"camera": {"read_noise_electrons": 1e300}}}, "read_noise_electrons"),
     ],
 )
-def test_a_scenario_that_no_flight_could_begin_with_is_refused_before(told, name):
+def test_a_scenario_that_no_flight_could_begin_with_is_refused_before(changes, name):
     scenario = Scenario.load(ROOT / "scenarios" / "shadow_modified.toml")
     with pytest.raises(InputError, match=name.replace(".", r"\.")):
-        scenario.changed(**told)
+        scenario.changed(**changes)
 
 
 def test_nothing_that_a_sensor_gives_raises():

@@ -162,9 +162,9 @@ def test_a_packaged_probability_that_is_right_is_not_bettered():
 
 def test_the_chance_of_rocks_under_the_pads_does_not_spoil_a_refit():
     doubted = [replace(sites(i), clear=np.full(1500, 0.05)) for i in range(6)]
-    own = judged(*doubted).refit_domain
-    assert own.packaged.ece[0] > 0.2
-    assert own.refit.ece[0] < 0.03
+    refit_quality = judged(*doubted).refit_domain
+    assert refit_quality.packaged.ece[0] > 0.2
+    assert refit_quality.refit.ece[0] < 0.03
 
 
 def test_flights_alike_leave_no_interval():

@@ -107,12 +107,17 @@ def test_both_ways_take_the_same_propellant_and_the_simulator_flies_it():
 
 def test_a_sensor_sees_the_site_for_as_long_as_it_is_asked_to():
     d = descent(np.random.default_rng(2))
-    asked = replace(d, sight=SiteVisibility(np.array([0.0, 0.0, -1.0]), np.deg2rad(55.0), 0.6))
-    free, path = SuccessiveConvexification(N).solve(d), SuccessiveConvexification(N).solve(asked)
+    constrained = replace(
+        d, sight=SiteVisibility(np.array([0.0, 0.0, -1.0]), np.deg2rad(55.0), 0.6)
+    )
+    free, path = (
+        SuccessiveConvexification(N).solve(d),
+        SuccessiveConvexification(N).solve(constrained),
+    )
     assert (
-        np.rad2deg(evaluate_violations(asked, *simulate_open_loop(free)).sight) > 5.0
+        np.rad2deg(evaluate_violations(constrained, *simulate_open_loop(free)).sight) > 5.0
     )  # nobody asked
-    held(asked, path)
+    held(constrained, path)
     assert path.propellant > 1.1 * free.propellant
 
 

@@ -126,8 +126,8 @@ def test_held_out_rows_are_evaluated_by_a_fit_without_them(script, monkeypatch):
         x[:, 0] = 1.0
         safe = rng.random(60) < 1.0 / (1.0 + np.exp(-(8.0 * x[:, UNCONSTRAINED_FEATURES] - 4.0)))
         ones = np.ones(60)
-        known, doomed = rng.random(60) < 0.8, rng.random(60) < 0.5
-        return study.SceneSites(scene, x, known, ones, ones, ones, doomed, 0.005, safe)
+        known, claimable = rng.random(60) < 0.8, rng.random(60) < 0.5
+        return study.SceneSites(scene, x, known, ones, ones, ones, claimable, 0.005, safe)
 
     scenes = [judged(s) for s in deck]
     rows = list(study.split_by_scene_type(scenes))

@@ -180,8 +180,8 @@ def test_real_return_metrics_are_by_split(results):
         "mean square of error / predicted sigma (ideal 1)",
         "fraction beyond 2",
     )
-    told = {f.label: f.values for f in report.figures}
-    assert told == {
+    values = {f.label: f.values for f in report.figures}
+    assert values == {
         f"as flights do: {error}": [0.1, 0.4],
         f"as flights do: {square}": [0.2, 0.5],
         f"as flights do: {share} sigma (ideal 0.046)": [0.3, 0.6],

@@ -47,13 +47,13 @@ def test_cells_and_their_means_are_those_of_the_plain_tree(
     points, tree = plain(quadtree)
     t = quadtree.tree
     nodes = np.arange(quadtree.cell_count, dtype=np.int32)
-    own = {(int(t.depth[i]), int(t.column[i]), int(t.row[i])): i for i in nodes}
-    assert own.keys() == tree.keys()
+    node_by_cell = {(int(t.depth[i]), int(t.column[i]), int(t.row[i])): i for i in nodes}
+    assert node_by_cell.keys() == tree.keys()
     elevation, variance = quadtree.elevation(nodes), quadtree.variance(nodes)
     z = points[:, 2]
     apart = reference.stand_apart(z, tree, t.half, quadtree.depths, 8)
     assert np.array_equal(quadtree.is_outlier, apart)
-    for key, i in own.items():
+    for key, i in node_by_cell.items():
         assert t.count[i] == len(tree[key])
         least = key[0] == quadtree.depths and len(tree[key]) >= 8
         assert (t.slot[i] >= 0) == (reference.divided(key, tree) or least)

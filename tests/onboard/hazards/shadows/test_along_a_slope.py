@@ -102,14 +102,14 @@ def test_the_sun_is_evaluated_along_the_measured_terrain(scene):
     plane = fit_terrain_plane(Slope(GRADIENT).drawn)
     seen = detect_rocks(counts, camera.model, state, sun, terrain=plane, model=MODEL)
     onto = plane.level_direction(sun)
-    told = measure_shadow_angle(
+    sun_angle = measure_shadow_angle(
         seen, plane.level_view(camera.model.view(state)),
         np.column_stack((seen.terrain_xy, np.zeros(len(seen)))), onto,
         MODEL.under(float(np.arcsin(onto[2]))),
         ImageQualityCheck().before_detection(counts, camera.model, state).metrics["noise"],
     )  # fmt: skip
     (event,) = [e for e in mapper.tracker.filter.events if e.name == "image-rejected"]
-    assert event.details["turn"] == pytest.approx(told.angle)
+    assert event.details["turn"] == pytest.approx(sun_angle.angle)
 
 
 @pytest.mark.parametrize("turned", [30.0, -30.0, 180.0])
@@ -186,10 +186,10 @@ def test_a_mapper_is_built_after_the_one_whose_terrain_it_asks_for(scene):
         inertial, StartSigmas(1e-3, 1e-3, 1e-5), terrain_prior=ground, rocks=True
     )
     relief = Slope(GRADIENT)
-    told = {}
+    received = {}
 
     def fused(briefing, navigation, mappers):
-        told.update(mappers)
+        received.update(mappers)
         return Slope((0.0, 0.0))
 
     parts = {
@@ -203,7 +203,7 @@ def test_a_mapper_is_built_after_the_one_whose_terrain_it_asks_for(scene):
     )  # fmt: skip
     built = build_mappers(briefing, navigation)
     assert list(built) == list(parts)
-    assert set(told) == {"eye", "dem"}
+    assert set(received) == {"eye", "dem"}
     tracked = built["eye"].tracker.settings
     assert tracked.min_landmark_radius < 0.5 * tracked.min_radius
     assert not relief.asked

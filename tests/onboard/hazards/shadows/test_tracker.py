@@ -47,8 +47,8 @@ def test_a_cluster_seen_as_one_is_split_when_it_is_resolved():
     assert np.sort(tracker.filter.xy[:, 0]) == pytest.approx([-1.1, 1.1], abs=0.25)
     # One look is one look: it began them, and tells no more of them.
     assert tracker.hits.tolist() == [1, 1]
-    own = 1.0 - tracker.rates.false_positive(seen.q)
-    assert np.sort(tracker.existence) == pytest.approx(np.sort(np.clip(own, 0.1, 0.99)))
+    probability = 1.0 - tracker.rates.false_positive(seen.q)
+    assert np.sort(tracker.existence) == pytest.approx(np.sort(np.clip(probability, 0.1, 0.99)))
     assert tracker.update(seen, camera, SUN, 0.1).dof == 0, "the second begins them anew"
     assert tracker.update(seen, camera, SUN, 0.2).dof == 4
 
@@ -118,8 +118,8 @@ def test_radii_of_all_rocks_seen_are_corrected():
     )
     assert few.filter.count == all_of_them.filter.count > 20
     assert few.filter.radius_variance == pytest.approx(all_of_them.filter.radius_variance, rel=0.05)
-    own = [np.trace(t.filter.rock_covariance(), axis1=1, axis2=2) for t in (few, all_of_them)]
-    assert np.median(own[0]) > 2.0 * np.median(own[1])
+    variances = [np.trace(t.filter.rock_covariance(), axis1=1, axis2=2) for t in (few, all_of_them)]
+    assert np.median(variances[0]) > 2.0 * np.median(variances[1])
 
 
 def test_images_do_not_run_backwards():

@@ -104,8 +104,8 @@ def test_each_camera_is_compared_with_its_own_last_images(frames):
         for n in range(2):
             look(mapper, "narrow", eye, pictures[(2 * k + n) % 4 + 1], 0.2 * k + 0.05 * (n + 1))
     assert mapper.rejected_images[ImageRejection.STUCK] == 4
-    told = [e for e in mapper.tracker.filter.events if e.name == "image-rejected"]
-    assert [e.details["camera"] for e in told] == ["wide"]
+    rejections = [e for e in mapper.tracker.filter.events if e.name == "image-rejected"]
+    assert [e.details["camera"] for e in rejections] == ["wide"]
     # Each by itself is told of once, not at every change from one to the other.
     assert mapper.rejected_images.total() == 4
 
