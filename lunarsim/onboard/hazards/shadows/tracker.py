@@ -221,9 +221,8 @@ class RockTracker:
             self.renew()
             self.explained[:] = False
         points = self.filter.terrain_points(camera, detections.pixel, s.region)
-        begins = detections.radius >= (
-            s.min_landmark_radius if in_view < s.min_rocks_in_view else s.min_radius
-        )
+        least = s.min_landmark_radius if in_view < s.min_rocks_in_view else s.min_radius
+        begins = detections.radius >= least
         born = self._start_tracks(~close & begins, detections, points, camera, variance)
         on_terrain = terrain_position_covariance(
             points, detections.pixel_covariance, self.filter, camera
