@@ -71,7 +71,7 @@ def read_json_with_format(path: Path, field: str, tag: str, hint: str = "") -> d
         If the file is missing, is not JSON, or has another format.
     """
     if not path.is_file():
-        raise InputError(field, str(path), f"must be an existing file{hint}")
+        raise InputError(field, str(path), f"does not exist, but must be a file{hint}")
     try:
         data = read_json(path)
     except ValueError as error:

@@ -69,8 +69,8 @@ for _command in (campaign, sweep, replay, terrain, scenario, parts, evaluate, st
 )  # fmt: skip
 @click.option(
     "--guidance", default=None, show_default="guidance law of the scenario",
-    help="Guidance law: a name from `lunarsim parts guidance`, or a Python class module:Class. A "
-    "law other than the scenario's has its default settings.",
+    help="Guidance law: a name from `lunarsim parts guidance`, or a Python class module:Class. If "
+    "it is not the scenario's law, it flies with its own default settings, not with [guidance].",
 )  # fmt: skip
 @SEED
 @FLIGHT
@@ -245,8 +245,7 @@ def compare(
 )  # fmt: skip
 @click.option(
     "--sites", type=int, default=300, show_default=True,
-    help="Number of random sites that are sampled from each map on which a divert decision is "
-    "based.",
+    help="Number of sites drawn at random from each map that was used for a divert decision.",
 )  # fmt: skip
 @click.option(
     "--mapper", default=None, show_default="the mapper that decisions use, or the only one",

@@ -327,7 +327,7 @@ def sensor_axes(boresight: ArrayLike) -> Array:
 
     Examples
     --------
-    >>> float(sensor_axes([0.0, 0.0, -1.0])[2] @ [0.0, 0.0, -1.0])  # z along the boresight
+    >>> float(sensor_axes([0.0, 0.0, -1.0])[:, 2] @ [0.0, 0.0, -1.0])  # z along the boresight
     1.0
     """
     z = normalised(boresight)

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from seeking_flights import ALTITUDES, PATHS
 
+from lunarsim.viz.style import new_figure, save
+
 LABELS = {"nominal": "direct", "modified": "manually modified", "seeking": "information-seeking"}
 COLOURS = {"nominal": "tab:gray", "modified": "tab:orange", "seeking": "tab:blue"}
 
@@ -17,24 +19,15 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
 
     `rows` holds the flights by path, one dictionary per field; `path` is the output file.
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 4.2), layout="constrained")
+    figure = new_figure(10.0, 4.2)
+    left, right = figure.subplots(1, 2)
     for name in PATHS:
         flights = [row[name] for row in rows]
         colour, label = COLOURS[name], LABELS[name]
         known = _mean_fractions(flights, "known_m2")
         left.plot(known, ALTITUDES, "--", color=colour, lw=1.2)
-        left.plot(
-            _mean_fractions(flights, "known_in_reach_m2"),
-            ALTITUDES,
-            "o-",
-            color=colour,
-            label=label,
-        )
+        within = _mean_fractions(flights, "known_in_reach_m2")
+        left.plot(within, ALTITUDES, "o-", color=colour, label=label)
         away = [
             np.mean([np.hypot(*f["levels"][f"{h:g}"]["place"][:2]) for f in flights])
             for h in ALTITUDES
@@ -49,9 +42,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     left.legend(loc="upper right", frameon=False)
     left.set_title(f"Known and reachable safe sites, mean of {len(rows)} fields", fontsize=10)
     right.set_title("Paths", fontsize=10)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    save(figure, path)
 
 
 def _mean_fractions(flights: list[dict[str, Any]], name: str) -> list[float]:

@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.random import SeedSequence
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from lunarsim import Scenario, Simulation, flight_seed
+from lunarsim import Scenario, Simulation
 from lunarsim.evaluation.classification import classify
 from lunarsim.evaluation.precision_recall import PrecisionRecall
 from lunarsim.onboard.policies.reachability import ReachabilityMap
@@ -47,26 +48,6 @@ class SunAndTerrain:
     cover: float = 0.05
 
 
-@dataclass(frozen=True)
-class SeekingFlightTask:
-    """Settings of one simulated flight of the information-seeking study.
-
-    `path` is a name in `PATHS`, `field` the number of the rock field, `seed` the root seed and
-    `sensors` "camera", "lidar" or "both".
-    """
-
-    path: str
-    field: int
-    seed: int
-    sensors: str = "camera"
-    conditions: SunAndTerrain = SunAndTerrain()
-
-    @property
-    def key(self) -> str:
-        """Key of the flight in the result file."""
-        return f"{self.sensors} / {self.field} / {self.path}"
-
-
 def sample_conditions(count: int, seed: int) -> list[SunAndTerrain]:
     """Sample Sun azimuth and elevation, slope and cover by scrambled Sobol points.
 
@@ -77,13 +58,13 @@ def sample_conditions(count: int, seed: int) -> list[SunAndTerrain]:
     return [SunAndTerrain(*(round(float(v), 4) for v in row)) for row in points]
 
 
-def scenario_of(task: SeekingFlightTask) -> Scenario:
+def scenario_of(path: str, sensors: str, g: SunAndTerrain) -> Scenario:
     """Return the scenario of a flight: shadow EKF descent with a smaller map.
 
-    The map is 60 m wide; sites are selected between altitudes of 75 m and 50 m.
+    `path` is a name in `PATHS` and `sensors` one in `SENSORS`. The map is 60 m wide; sites are
+    selected between altitudes of 75 m and 50 m.
     """
-    g = task.conditions
-    start = "modified" if task.path == "modified" else "nominal"
+    start = "modified" if path == "modified" else "nominal"
     changes: dict[str, Any] = {
         "terrain": {"posting_m": 1.0, "rms_slope_deg": g.slope},
         "rocks": {"cover": g.cover},
@@ -91,10 +72,10 @@ def scenario_of(task: SeekingFlightTask) -> Scenario:
         "sun": {"azimuth_deg": g.azimuth, "elevation_deg": g.elevation},
         "decisions": {"first_altitude_m": 75.0, "last_altitude_m": 50.0},
     }
-    if task.path == "seeking":
+    if path == "seeking":
         changes["guidance"] = {"kind": "information-seeking"}
     return Scenario.load(HERE / f"shadow_{start}.toml").changed(
-        **changes, **_sensor_tables(task.sensors)
+        **changes, **_sensor_tables(sensors)
     )
 
 
@@ -128,10 +109,9 @@ def _sensor_tables(sensors: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def fly(task: SeekingFlightTask) -> dict[str, Any]:
-    """Simulate one flight; return map metrics by altitude and the outcome for JSON."""
-    scenario = scenario_of(task)
-    simulation = Simulation(scenario, flight_seed(task.seed, task.field), policy="safest")
+def fly(path: str, sensors: str, conditions: SunAndTerrain, seed: SeedSequence) -> dict[str, Any]:
+    """Simulate one flight; return map metrics by altitude and the outcome."""
+    simulation = Simulation(scenario_of(path, sensors, conditions), seed, policy="safest")
     pending, levels = list(ALTITUDES), {}
     while not simulation.done:
         simulation.step()
@@ -140,19 +120,14 @@ def fly(task: SeekingFlightTask) -> dict[str, Any]:
             levels[f"{pending.pop(0):g}"] = map_metrics(simulation, with_cells=last)
             if last:
                 simulation.computer.stop_sensors()
-    outcome = simulation.outcome
-    touched = outcome is not None and outcome.touchdown is not None
-    events = simulation.computer.telemetry
+    outcome, events = simulation.outcome, [name for _, name, _ in simulation.computer.telemetry]
     return {
-        "ground": asdict(task.conditions),
-        "levels": levels,
+        "path": path, "ground": asdict(conditions), "levels": levels,
         "propellant": simulation.lander.wet_mass - simulation.state.mass,
-        "duration": simulation.time,
-        "landed": touched,
-        "safe": bool(touched and outcome is not None and outcome.safe),
-        "fallbacks": sum(name == "guidance-fallback" for _, name, _ in events),
-        "plans": sum(name == "guidance-planned" for _, name, _ in events),
-    }
+        "duration": simulation.time, "landed": outcome.touchdown is not None,
+        "safe": bool(outcome.touchdown is not None and outcome.safe),
+        "fallbacks": events.count("guidance-fallback"), "plans": events.count("guidance-planned"),
+    }  # fmt: skip
 
 
 def map_metrics(simulation: Simulation, *, with_cells: bool) -> dict[str, Any]:

@@ -4,8 +4,8 @@ The quadtree maps the same LiDAR returns as the Gaussian DEM. It is therefore a 
 calibration stage and never an independent factor. The fit uses fields on which no map is evaluated;
 the fields of each study condition (row) are evaluated with a fit to the other conditions.
 
-python scenarios/sensor_fusion.py --fields 3 --seed 11 --json out/fit.json
-python scenarios/sensor_fusion_calibration.py out/fit.json --out out/fused.json
+python scenarios/sensor_fusion.py --fields 3 --seed 11 --out out/fit
+python scenarios/sensor_fusion_calibration.py out/fit/results.json --out out/fused.json
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def evaluate_calibration(calibration: FusedCalibration, site_counts: Array) -> t
 def main(file: Path, out: Path | None) -> None:
     """Fit C, the calibrated p_safe, to the flights in FILE; test on held-out rows."""
     try:
-        flights = list(json.loads(file.read_text(encoding="utf-8"))["flights"].values())
+        flights = json.loads(file.read_text(encoding="utf-8"))["rows"]
         rows = {row: [f for f in flights if f["row"] == row] for row in (f["row"] for f in flights)}
         all_counts = {row: sum_site_counts(mine) for row, mine in rows.items()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:

@@ -50,7 +50,8 @@ def _sum_counts(evaluated: list[Counts], name: str) -> np.ndarray:
 def map_metrics(evaluated: list[Counts]) -> dict[str, float]:
     """Return the quality metrics of one mapper's maps, pooled over the fields.
 
-    `evaluated` holds the site counts of each field. A hazard counts as missed at p > 0.5.
+    `evaluated` holds the site counts of each field. A hazard counts as missed if its p_safe
+    exceeds 0.5.
     """
     curve = pooled_curve(evaluated)
     quality: MapQuality = curve.at_half()

@@ -9,11 +9,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.random import SeedSequence
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import logit
@@ -25,7 +26,6 @@ from lunarsim import (
     Simulation,
     build_world,
     exact_safety,
-    flight_seed,
 )
 from lunarsim.api import HazardMapper, LidarScan
 from lunarsim.evaluation.map_quality import true_elevation_in_map_frame
@@ -111,25 +111,6 @@ ROWS: dict[str, FusionStudyRow] = {
 }
 
 
-@dataclass(frozen=True)
-class FusionFlightTask:
-    """Settings of one simulated flight of the all-sensor study.
-
-    `row` is the study condition, `field` the number of the simulated terrain, `seed` the root seed
-    and `altitudes` the altitudes of map evaluation (m).
-    """
-
-    row: str
-    field: int
-    seed: int
-    altitudes: tuple[float, ...]
-
-    @property
-    def key(self) -> str:
-        """Key of the study condition and field in the result file."""
-        return f"{self.row} | {self.field}"
-
-
 def scenario_of(world: str, altitudes: tuple[float, ...]) -> Scenario:
     """Return the descent over a terrain of `WORLDS` with all mappers.
 
@@ -170,20 +151,17 @@ def scenario_of(world: str, altitudes: tuple[float, ...]) -> Scenario:
     )  # fmt: skip
 
 
-@lru_cache(maxsize=1)
-def world_of(world: str, seed: int) -> World:
-    """Build the simulated terrain and light for a seed; the last result is cached.
-
-    `world` is a name in `WORLDS`.
-    """
+def world_of(world: str, seed: SeedSequence) -> World:
+    """Build the simulated terrain and light for a seed; `world` is a name in `WORLDS`."""
     return build_world(scenario_of(world, (100.0,)), RandomStreams(seed))
 
 
-def fly(task: FusionFlightTask) -> dict[str, Any]:
-    """Simulate one flight; return the site counts by map and altitude for JSON."""
-    row = ROWS[task.row]
-    seed = flight_seed(task.seed, task.field)
-    scenario = scenario_of(row.world, task.altitudes)
+def fly(row: FusionStudyRow, altitudes: tuple[float, ...], seed: SeedSequence) -> dict[str, Any]:
+    """Simulate one flight; return the site counts by map and altitude.
+
+    `altitudes` are those of map evaluation, m.
+    """
+    scenario = scenario_of(row.world, altitudes)
     simulation = Simulation(scenario, seed, "no-divert", world=world_of(row.world, seed))
     mappers = simulation.computer.mappers
     if row.lidar_dropouts:
@@ -191,7 +169,7 @@ def fly(task: FusionFlightTask) -> dict[str, Any]:
             mappers[name].update = with_dropouts(mappers[name].update)  # type: ignore[method-assign]
     clock = MapperTimer({name: mappers[name] for name in MAPS})
     evaluated: dict[str, Any] = {}
-    waiting = sorted(task.altitudes, reverse=True)
+    waiting = sorted(altitudes, reverse=True)
     while waiting and not simulation.done:
         simulation.step()
         if simulation.altitude < DEAD_BELOW:
@@ -201,8 +179,10 @@ def fly(task: FusionFlightTask) -> dict[str, Any]:
         if simulation.altitude <= waiting[0]:
             evaluated[f"{waiting.pop(0):g}"] = count_all_sites(simulation)
     refused = mappers["rocks"].rejected_images  # type: ignore[attr-defined]
-    return {"row": task.row, "field": task.field, "maps": evaluated, "ms": clock.mean_ms(),
-            "refused": {fault.name: count for fault, count in refused.items()}}  # fmt: skip
+    return {
+        "maps": evaluated, "ms": clock.mean_ms(),
+        "refused": {fault.name: count for fault, count in refused.items()},
+    }  # fmt: skip
 
 
 class MapperTimer:

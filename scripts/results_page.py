@@ -1,6 +1,6 @@
 """Print the page docs/validation/results-by-seed.md from the stored results.
 
-A study writes its results with `--json FILE`, or to `results.json` with `--out DIR`. `python
+A study writes its results to `results.json` with `--out DIR`. `python
 scripts/results_page.py --store NAME FILE` stores the part that the page shows in
 `docs/results/NAME.json`: every metric by seed, the value of the paper, and the command of the
 study (`--command`). The page is generated from these files only.
@@ -98,18 +98,29 @@ def gaussian_dem(results: dict[str, Any]) -> list[SeedMetric]:
     the minimum precision and recall of nine scans, with the threshold p > 0.5 (Table 6).
     """
     out = []
-    for row in results["3"]["rows"]:
-        at = f"Table 3, c = {row['c']:g}: "
+    by_complexity: dict[float, list[dict[str, Any]]] = {}
+    by_field: dict[int, list[dict[str, Any]]] = {}
+    for row in results["rows"]:
+        if row["table"] == "3":
+            by_complexity.setdefault(row["c"], []).append(row)
+        elif row["table"] == "6":
+            by_field.setdefault(row["number"], []).append(row)
+    for c, rows in by_complexity.items():
+        at = f"Table 3, c = {c:g}: "
+        precision, recall, bounded = (
+            [row[name] for row in rows] for name in ("precision", "recall", "bounded")
+        )
         out += [
-            SeedMetric(f"{at}precision", "", row["precision"], 1.0, "higher"),
-            SeedMetric(f"{at}recall", "", row["recall"], row["paper"], "higher"),
-            SeedMetric(f"{at}recall of `bounded_safety`", "", row["bounded"]),
+            SeedMetric(f"{at}precision", "", precision, 1.0, "higher"),
+            SeedMetric(f"{at}recall", "", recall, rows[0]["paper"], "higher"),
+            SeedMetric(f"{at}recall of `bounded_safety`", "", bounded),
         ]
     for name in ("proposed slope", "proposed roughness"):
-        configurations = results["6"]["at_half"][name]
         for k, word in enumerate(("precision", "recall")):
-            seeds = zip(*([pair[k] for pair in one] for one in configurations), strict=True)
-            worst = [min(_finite(values)) for values in seeds]
+            worst = [
+                min(_finite([row["at_half"][name][k] for row in rows]))
+                for rows in by_field.values()
+            ]
             out.append(SeedMetric(f"Table 6, {name}, minimum {word} of nine scans", "", worst))
     return out
 
@@ -184,7 +195,8 @@ def real_returns(results: dict[str, Any]) -> list[SeedMetric]:
     """
     out = []
     for name in ("as flights do", "field of Table 6"):
-        splits = results["ground"]["heights"][name]["by split"]
+        wanted = {"returns": "terrain returns", "map": name, "slope": "all"}.items()
+        splits = [row for row in results["rows"] if wanted <= row.items()]
         out += [
             SeedMetric(f"{name}: {label}", unit, [split[key] for split in splits])
             for key, label, unit in (

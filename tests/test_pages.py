@@ -16,8 +16,10 @@ import pytest
 
 from lunarsim.campaign.world_truth import SAFE_SHARE_COLUMNS
 from lunarsim.cli import main
+from lunarsim.core.touchdown import CAUSES
 from lunarsim.evaluation.flight_metrics import COLUMNS as RESULT_COLUMNS
-from lunarsim.simulation.flight import COLUMNS as TRAJECTORY_COLUMNS
+from lunarsim.parts import kinds
+from lunarsim.simulation.columns import COLUMNS as TRAJECTORY_COLUMNS
 from scripts import reference_pages
 from tests.worlds import ROOT, SCENARIOS
 
@@ -284,6 +286,17 @@ def test_the_page_of_columns_has_every_column():
     page = (ROOT / "docs" / "reference" / "columns.md").read_text(encoding="utf-8")
     shown = set(re.findall(r"`(\w+)`", page))
     assert {*RESULT_COLUMNS, *SAFE_SHARE_COLUMNS, *TRAJECTORY_COLUMNS} <= shown
+
+
+def test_pages_have_every_cause_of_failure_and_every_guidance_law():
+    docs = ROOT / "docs"
+    for page, names in (
+        ("reference/columns.md", CAUSES),
+        ("explanation/touchdown.md", CAUSES),
+        ("explanation/guidance.md", kinds("guidance")),
+    ):
+        shown = set(re.findall(r"`([\w-]+)`", (docs / page).read_text(encoding="utf-8")))
+        assert set(names) <= shown, page
 
 
 def test_the_page_of_events_has_every_event_of_the_code():

@@ -156,7 +156,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
       ``time_scale``.
     - At the end of an episode: ``safe``, ``failure_causes`` and ``propellant_kg`` used since the
       start. In a vector environment, ``failure_causes`` has one bit for each limit in
-      `lunarsim.vehicle.touchdown.TOUCHDOWN_LIMITS`.
+      `lunarsim.core.touchdown.CAUSES`.
 
     ``env.unwrapped.action_masks()`` returns the mask as booleans.
 

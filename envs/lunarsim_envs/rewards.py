@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lunarsim.core.touchdown import VALUES
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.scenario import Scenario
@@ -69,16 +70,21 @@ def touchdown_limit_ratios(lander: Lander, touchdown: ArrayLike) -> Array:
     lander
         Vehicle with the limits.
     touchdown
-        Vertical and horizontal speed, tilt, rate, slope and roughness at touchdown (n, 6 or more),
-        SI. Rows of NaN (no touchdown) give NaN.
+        Values at touchdown (n, values) in the order of `core.touchdown.VALUES`, SI. Rows of NaN (no
+        touchdown) give NaN.
     """
-    limits = np.array([
-        lander.vertical_speed_limit, lander.horizontal_speed_limit, lander.tilt_limit,
-        lander.slope_limit, lander.roughness_limit,
-    ])  # fmt: skip
-    share = np.abs(np.asarray(touchdown, dtype=np.float64)[:, [0, 1, 2, 4, 5]]) / limits
-    terrain = np.maximum(share[:, 3], share[:, 4])
-    return np.column_stack((np.maximum(share[:, 0], share[:, 1]), share[:, 2], terrain))
+    values = np.abs(np.asarray(touchdown, dtype=np.float64))
+
+    def ratio(value: str, limit: str) -> Array:
+        """Return a value (n,) relative to its limit."""
+        return np.asarray(values[:, VALUES.index(value)] / getattr(lander, limit))
+
+    speeds = (
+        ratio("vertical_speed", "vertical_speed_limit"),
+        ratio("horizontal_speed", "horizontal_speed_limit"),
+    )
+    terrain = ratio("slope", "slope_limit"), ratio("roughness", "roughness_limit")
+    return np.column_stack((np.maximum(*speeds), ratio("tilt", "tilt_limit"), np.maximum(*terrain)))
 
 
 def map_information(p: NDArray[np.float32], observed: BoolArray) -> float:

@@ -159,9 +159,10 @@ def arm_pairs(arms: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def differences(results: Results, metric: str = "safe") -> list[Difference]:
-    """Compute the difference of a metric between each pair of arms, paired by flight.
+    """Compute the difference of a metric between pairs of arms, paired by flight.
 
-    An arm is a variant of the scenario. The p-values have Holm's correction for the number of
+    An arm is a variant of the scenario. The pairs are all pairs of up to 8 arms, otherwise each arm
+    with the first. The p-values have Holm's correction for the number of
     pairs.
 
     Raises

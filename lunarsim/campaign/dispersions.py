@@ -340,8 +340,8 @@ class Dispersions:
     correlations
         Groups of correlated keys; a key is in at most one group.
     method, seed, flights
-        Sampling method; root seed; number of flights, which only designs use (with method subset:
-        flights per level).
+        Sampling method; root seed; number of flights, used only by methods that draw all flights
+        together (Latin hypercube, Sobol, Saltelli; with method subset: flights per level).
     importance, subset
         Settings of the method of the same name; None with any other method.
     """

@@ -199,7 +199,8 @@ def fly(study: FlightSettings, group: Group, arm: int, memory: dict[Any, Any]) -
     group, arm
         Group of the flight; index of the arm.
     memory
-        Worlds and their true landing safety that the group has computed so far; extended here.
+        Worlds, their true landing safety and shared parts of flights that the group has computed so
+        far; extended here.
 
     Raises
     ------

@@ -13,17 +13,55 @@ import numpy as np
 
 from lunarsim._jit import kernel
 
-# Bits of the violated limits. OFF_MAP: the terrain is unknown.
-OFF_MAP, VERTICAL_SPEED, HORIZONTAL_SPEED, TILT, RATE = 1, 2, 4, 8, 16
-SLOPE, ROUGHNESS, BELLY, TIP_OVER = 32, 64, 128, 256
+
+class TouchdownLimit(NamedTuple):
+    """Limit on one value of a touchdown.
+
+    `cause` names the violation and `label` the value in figures. `value` is a field of
+    `lunarsim.vehicle.touchdown.Touchdown` and `limit` the field of the lander with its maximum. A
+    limit of motion is violated if the value exceeds it, a limit of terrain (`is_terrain`) already
+    if the value reaches it.
+    """
+
+    cause: str
+    label: str
+    value: str
+    limit: str
+    is_terrain: bool = False
+
+
+# In the order of the checks. A limit on a new value also needs its line in `evaluate_touchdown`.
+LIMITS = (
+    TouchdownLimit("vertical-speed", "Vertical speed", "vertical_speed", "vertical_speed_limit"),
+    TouchdownLimit(
+        "horizontal-speed", "Lateral speed", "horizontal_speed", "horizontal_speed_limit"
+    ),
+    TouchdownLimit("tilt", "Tilt", "tilt", "tilt_limit"),
+    TouchdownLimit("rate", "Angular rate", "rate", "rate_limit"),
+    TouchdownLimit("slope", "Slope", "slope", "slope_limit", True),
+    TouchdownLimit("roughness", "Roughness", "roughness", "roughness_limit", True),
+    TouchdownLimit("belly", "Belly clearance", "roughness", "belly_clearance", True),
+)
+# Values of a touchdown, and causes of failure: bit k of a result is `CAUSES[k]`.
+VALUES = (*dict.fromkeys(limit.value for limit in LIMITS), "tip_margin")
+CAUSES = ("off-map", *(limit.cause for limit in LIMITS), "tip-over")
+OFF_MAP, _TIP_OVER = 1, 2 << len(LIMITS)
+_VERTICAL_SPEED, _HORIZONTAL_SPEED = (
+    VALUES.index("vertical_speed"),
+    VALUES.index("horizontal_speed"),
+)
+_TILT, _RATE = VALUES.index("tilt"), VALUES.index("rate")
+_SLOPE, _ROUGHNESS, _TIP_MARGIN = (VALUES.index(v) for v in ("slope", "roughness", "tip_margin"))
+# Index of each limit's value, and whether it is a limit of terrain.
+_LIMITED = np.array([VALUES.index(limit.value) for limit in LIMITS])
+_IS_TERRAIN = np.array([limit.is_terrain for limit in LIMITS])
 
 
 class TouchdownParams(NamedTuple):
     """Properties of lander and gravity for the evaluation of a touchdown, SI.
 
-    `limits` (7,): vertical and horizontal speed, tilt, angular rate, slope, roughness, belly
-    clearance. `com_height`: height of the centre of mass above the pads. `inertia` (2, 3): moments
-    of inertia with empty and full tanks.
+    `limits` (n,): maximum values in the order of `LIMITS`. `com_height`: height of the centre of
+    mass above the pads. `inertia` (2, 3): moments of inertia with empty and full tanks.
     """
 
     limits: np.ndarray
@@ -239,37 +277,31 @@ def tip_margin(y, legs, slope, params):
 def evaluate_touchdown(y, legs, points, heights, params, out):
     """Evaluate a touchdown; return its violated limits, one bit each (0: safe).
 
-    The bits are `OFF_MAP` (unknown terrain) to `TIP_OVER`. `y` (15,) is the state, `legs` (n, 3)
-    are contact points, and `points` (m, 2) and `heights` (m,) the terrain between them, m; unknown
-    heights are NaN. `params` is a `TouchdownParams`. `out` (7,) receives vertical and horizontal
-    speed (m/s), tilt (rad), angular rate (rad/s), slope (rad), roughness (m) and tip-over margin;
-    those of unknown terrain are NaN.
+    The bits are those of `CAUSES`. `y` (15,) is the state, `legs` (n, 3) are contact points, and
+    `points` (m, 2) and `heights` (m,) the terrain between them, m; unknown heights are NaN.
+    `params` is a `TouchdownParams`. `out` receives the values in the order of `VALUES`, SI; those
+    of unknown terrain are NaN.
     """
     known = True
     for k in range(len(legs)):
         known = known and np.isfinite(legs[k, 2])
-    out[0] = -y[5]
-    out[1] = np.hypot(y[3], y[4])
-    out[2] = np.arccos(min(max(1.0 - 2.0 * (y[6] * y[6] + y[7] * y[7]), -1.0), 1.0))
-    out[3] = np.sqrt(y[10] * y[10] + y[11] * y[11] + y[12] * y[12])
-    out[4] = out[5] = out[6] = np.nan
+    out[_VERTICAL_SPEED] = -y[5]
+    out[_HORIZONTAL_SPEED] = np.hypot(y[3], y[4])
+    out[_TILT] = np.arccos(min(max(1.0 - 2.0 * (y[6] * y[6] + y[7] * y[7]), -1.0), 1.0))
+    out[_RATE] = np.sqrt(y[10] * y[10] + y[11] * y[11] + y[12] * y[12])
+    out[_SLOPE] = out[_ROUGHNESS] = out[_TIP_MARGIN] = np.nan
     if known:
-        slope_and_roughness(legs, points, heights, out[4:6])
-        known = np.isfinite(out[5])
+        slope_and_roughness(legs, points, heights, out[_SLOPE : _SLOPE + 2])
+        known = np.isfinite(out[_ROUGHNESS])
     if known:
-        out[6] = tip_margin(y, legs, out[4], params)
+        out[_TIP_MARGIN] = tip_margin(y, legs, out[_SLOPE], params)
     failed = 0 if known else OFF_MAP
-    for k in range(4):
-        if out[k] > params.limits[k]:
+    for k in range(len(_LIMITED)):
+        value, limit = out[_LIMITED[k]], params.limits[k]
+        if value > limit or (_IS_TERRAIN[k] and value == limit):
             failed |= 2 << k
-    if out[4] >= params.limits[4]:
-        failed |= SLOPE
-    if out[5] >= params.limits[5]:
-        failed |= ROUGHNESS
-    if out[5] >= params.limits[6]:
-        failed |= BELLY
-    if out[6] < 0.0:
-        failed |= TIP_OVER
+    if out[_TIP_MARGIN] < 0.0:
+        failed |= _TIP_OVER
     return failed
 
 

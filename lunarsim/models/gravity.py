@@ -14,7 +14,10 @@ from lunarsim.typing import Array
 
 
 class GravityModel(Protocol):
-    """Interface of gravity models: acceleration as a function of position."""
+    """Interface of gravity models.
+
+    They give gravity, free-fall acceleration and the height above the datum.
+    """
 
     def at(self, position: ArrayLike) -> Array:
         """Return the acceleration (3,), ENU, m/s^2, at a position (3,), m."""

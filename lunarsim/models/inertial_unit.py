@@ -48,12 +48,14 @@ class TriadErrors:
     misalignment: float = quantity(
         0.0,
         ge=0,
-        help="misalignment of each measurement axis towards each other axis, 1 sigma (rad)",
+        help="angle (rad, 1 sigma) by which each measurement axis is tilted towards either of the "
+        "other two axes",
     )
     quantum: float = quantity(
         0.0,
         ge=0,
-        help="quantization step of each sample (gyroscopes: rad; accelerometers: m/s); 0: none",
+        help="quantization step of the increment in each sample (gyroscopes: angle, rad; "
+        "accelerometers: velocity, m/s); 0: none",
     )
 
     def __post_init__(self) -> None:

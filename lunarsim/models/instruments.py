@@ -78,7 +78,8 @@ class InertialInstrument:
     Attributes
     ----------
     gyroscopes, accelerometers
-        Standard deviations of the errors.
+        Error models of the triads: standard deviations of constant errors, densities of white
+        noise and of the bias random walk, and the quantization step.
     """
 
     gyroscopes: TriadErrors

@@ -61,7 +61,8 @@ class Thrusters:
     positions: Points = quantity(
         (),
         "m",
-        help="position of each thruster (body axes); omitted: four clusters of four thrusters",
+        help="position of each thruster (body axes); omitted or []: four "
+        "clusters of four thrusters",
     )
     directions: Points = quantity(
         (),

@@ -217,12 +217,15 @@ class FallbackSolver:
 
 
 class QocoOnlySolver:
-    """Solver QOCO for cone programs, without a proof of infeasibility.
+    """Solver of cone programs that uses QOCO alone.
+
+    QOCO cannot prove infeasibility: each program that it does not solve, infeasible or not, has the
+    status "unsolved".
 
     Parameters
     ----------
     max_iterations
-        Maximum number of iterations; then the status is "unsolved".
+        Maximum number of iterations.
     """
 
     def __init__(self, max_iterations: int = 30) -> None:

@@ -163,7 +163,7 @@ class Descent:
                 raise InputError(
                     f"optimal.{name}",
                     angle,
-                    "must be 0 or more and less than pi/2 rad (90 degrees)",
+                    "must be a number of 0 or more and less than pi/2 rad (90 degrees)",
                 )
 
     @property

@@ -240,7 +240,9 @@ def check_bounds(part: Any, table: str) -> None:
                 expected = q.expected if np.isfinite(float(one)) else "finite"
                 # Objects created in Python take angles in radians.
                 si = {"deg": "rad", "deg/s": "rad/s", "mrad": "rad"}.get(q.unit)
-                remedy = f"Give {si} in Python; this message is in {q.unit}." if si else ""
-                shown = float(f"{one:.10g}") if si else one
-                raise InputError(f"{table}.{f.name}{index}", shown, f"must be {expected}", remedy)
+                problem = f"must be {expected}"
+                if si:
+                    own = value[i] if isinstance(given, tuple) else value
+                    problem += f", got {own:.6g} {si} ({one:.6g} {q.unit})"
+                raise InputError(f"{table}.{f.name}{index}", one, problem, show_value=si is None)
     check_types(table, part)

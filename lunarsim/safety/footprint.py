@@ -63,10 +63,12 @@ class PolygonBlocks(NamedTuple):
     centres
         Columns and rows of the blocks' centres, alternating (2 n,).
     first
-        Index of the first block of each heading (headings + 1,); multiples of four.
+        Index of the first block of each heading (headings + 1,); the last block of a heading is
+        repeated until its number of blocks is a multiple of four, as kernels read four at once.
     allowed
-        0 for each cell of a block that is in the polygon, else -FAR, which is far below any terrain
-        (n * block * block,); a block has `block` x `block` cells.
+        Added to the terrain before the maximum of a block is taken (n * block * block,): 0 for
+        cells in the polygon, else -FAR, so that they never count. A block has `block` x `block`
+        cells.
     distinct
         Distinct corners (k, 2): headings share many blocks.
     corner_index

@@ -67,10 +67,11 @@ class ExceedanceCurve:
 
     @cached_property
     def with_gravel(self) -> ExceedanceCurve:
-        """Curve that includes counted gravel, as low rocks tilt a lander on a slope.
+        """Curve that also uses counts of samples at low heights (gravel).
 
-        Below the counted heights, the curve is at least the mission's rock distribution: few high
-        rocks do not imply few low rocks. Without `gravel`, it is this curve itself.
+        On a slope, low rocks too can tilt the lander too far. Below the counted heights, the curve
+        is at least the rock distribution that the mission expects: few high rocks do not imply few
+        low rocks. Without `gravel`, it is this curve itself.
         """
         return self if self.gravel is None else ExceedanceCurve(self.height, self.gravel)
 

@@ -314,8 +314,9 @@ def _check_navigation(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
         if not _has_sensor_for(sensors, wanted):
             raise InputError(
                 "navigation.kind", scenario.navigation.kind,
-                f"needs a sensor {_sensor_kinds_for(wanted)}",
-                "Add the sensor as a table [sensors.NAME].",
+                f"{scenario.navigation.kind!r} needs a sensor {_sensor_kinds_for(wanted)}, and the "
+                "scenario has none",
+                "Add the sensor as a table [sensors.NAME].", show_value=False,
             )  # fmt: skip
     if scenario.far_terrain is not None and scenario.moon is None:
         raise InputError(
@@ -346,8 +347,9 @@ def _check_control(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
     if scenario.control.make().torques and not _has_sensor_for(sensors, InertialSamples):
         raise InputError(
             "control.kind", scenario.control.kind,
-            "needs a sensor of kind 'imu'",
-            "Add the sensor as a table [sensors.NAME], or use control of kind 'ideal'.",
+            f"{scenario.control.kind!r} needs a sensor of kind 'imu', and the scenario has none",
+            "Add a table [sensors.NAME] with kind = \"imu\", or use control.kind = 'ideal'.",
+            show_value=False,
         )  # fmt: skip
     step = scenario.simulation.make().step
     frequency = getattr(scenario.control.make(), "frequency", 0.0)
@@ -381,12 +383,11 @@ def _check_actuators(scenario: CheckedTables) -> None:
         )  # fmt: skip
     if not jets and hasattr(control, "rate_change"):
         raise InputError(
-            field,
-            kind,
-            f"needs a vehicle of kind {_kinds_of('vehicle', JetLander)}, because this control "
-            "commands "
-            "thrusters",
-        )
+            field, kind,
+            f"{kind!r} commands thrusters and needs a vehicle of kind "
+            f"{_kinds_of('vehicle', JetLander)}, but vehicle.kind is {scenario.vehicle.kind!r}",
+            "Change the vehicle, or use control.kind = 'pd', for instance.", show_value=False,
+        )  # fmt: skip
     if scenario.faults is not None:
         faults = scenario.faults.make()
         if jets:
@@ -460,7 +461,7 @@ def _check_tasking(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
 def _check_all_used(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
     """Check that every sensor, prior map and initial uncertainty is used.
 
-    Cameras need no user, because they may only record.
+    Cameras and sensors with ``is_recorded`` need no user.
     """
     navigation = scenario.navigation.make()
     used = {name for part in scenario.mappers.values() for name in sensor_names(part.make())}
@@ -468,8 +469,10 @@ def _check_all_used(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
     if scenario.control.make().torques:
         wanted = (*wanted, InertialSamples)
     for name, sensor in sensors.items():
-        if issubclass(sensor.measurement_type, CameraImage):
-            continue  # a camera may record
+        if issubclass(sensor.measurement_type, CameraImage) or getattr(
+            sensor, "is_recorded", False
+        ):
+            continue
         if name not in used and not (wanted and issubclass(sensor.measurement_type, wanted)):
             raise InputError(
                 f"sensors.{name}", scenario.sensors[name].kind,

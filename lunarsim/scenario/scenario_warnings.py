@@ -14,8 +14,6 @@ from lunarsim.onboard.hazards.mapper import sensor_names
 from lunarsim.parts import PartSettings, kinds
 from lunarsim.scenario.scenario import Scenario
 
-# Kinds of sensors that depend on sunlight.
-_SUNLIT_KINDS = ("camera", "star-tracker")
 # Plausible radius of gyration over the radius of the leg circle. A solid sphere has 0.63, a thin
 # ring 1.
 _MIN_GYRATION_RATIO, _MAX_GYRATION_RATIO = 0.1, 0.75
@@ -167,9 +165,8 @@ def _randomization_warnings(scenario: Scenario) -> Iterator[str]:
 
 
 def _unused_key_warnings(scenario: Scenario) -> Iterator[str]:
-    lit = [p.kind for p in scenario.sensors.values() if _may_need_sunlight(p.kind)]
-    if not lit:
-        yield from _unused_keys("sun", scenario.sun, "there is no camera or star tracker")
+    if not any(_may_need_sunlight(p.kind, p.make()) for p in scenario.sensors.values()):
+        yield from _unused_keys("sun", scenario.sun, "no sensor depends on sunlight")
     if scenario.terrain.kind == "hazard-field":
         yield from _unused_keys(
             "rocks", scenario.rocks, "terrain 'hazard-field' has its own boulders"
@@ -207,9 +204,12 @@ def _unused_terrain_keys(scenario: Scenario) -> Iterator[str]:
             )
 
 
-def _may_need_sunlight(kind: str) -> bool:
-    """Return whether a kind of sensor may depend on sunlight; true for custom kinds."""
-    return kind in _SUNLIT_KINDS or kind not in kinds("sensor")
+def _may_need_sunlight(kind: str, sensor: Any) -> bool:
+    """Return whether a sensor may depend on sunlight.
+
+    It is what `needs_sunlight` states; without it, true for custom kinds only.
+    """
+    return bool(getattr(sensor, "needs_sunlight", kind not in kinds("sensor")))
 
 
 def _unused_keys(

@@ -117,6 +117,7 @@ class FramingCamera:
 
     measurement_type: ClassVar[type] = CameraImage
     is_tasked: ClassVar[bool] = True
+    needs_sunlight: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if self.exposure_min > self.exposure_max:

@@ -24,6 +24,8 @@ class Sensor(Protocol):
     ) -> Any:
         """Return one measurement of the true world.
 
+        A sensor that is not tasked may return None in a control cycle without a measurement.
+
         Parameters
         ----------
         world, state, time
@@ -40,7 +42,11 @@ class SensorPart(Protocol):
     """Interface of sensor settings: frozen dataclasses that a scenario selects.
 
     Settings of a sensor with state between measurements also have a method
-    ``build(rng, step) -> Sensor``; settings without `build` are themselves the sensor.
+    ``build(rng, step) -> Sensor``; settings without `build` are themselves the sensor. Settings may
+    also have ``is_recorded = True``, which stores all readings in the flight record
+    (`Flight.readings`) and permits a sensor that no onboard function uses, and
+    ``needs_sunlight = False`` if light does not matter. Readings that are recorded are dataclasses
+    with a field `time` and numbers or vectors.
 
     Attributes
     ----------

@@ -62,6 +62,7 @@ class StarTracker:
 
     measurement_type: ClassVar[type] = AttitudeReading
     is_tasked: ClassVar[bool] = False
+    needs_sunlight: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         check_direction("star_tracker.boresight", self.boresight)

@@ -36,6 +36,7 @@ from lunarsim.atomic_files import atomic_write, atomic_write_text
 from lunarsim.atomic_netcdf import atomic_write_netcdf
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.simulation.columns import COLUMNS
 from lunarsim.simulation.flight_files import (
     digest_of,
     read_columns,
@@ -54,23 +55,6 @@ if TYPE_CHECKING:
     from lunarsim import FlightFigures
 
 
-# Columns of the trajectory and their units, in order.
-COLUMNS: dict[str, str] = {
-    "time": "s",
-    **{f"position_{a}": "m" for a in "xyz"},
-    **{f"velocity_{a}": "m/s" for a in "xyz"},
-    **{f"attitude_{a}": "1" for a in "xyzw"},
-    **{f"rate_{a}": "rad/s" for a in "xyz"},
-    "mass": "kg",
-    "thrust": "N",
-    **{f"estimated_{a}": "m" for a in "xyz"},
-    **{f"estimated_velocity_{a}": "m/s" for a in "xyz"},
-    "estimated_mass": "kg",
-    **{f"site_{a}": "m" for a in "xyz"},
-    "time_to_go": "s",
-    "phase": "0 approach, 1 vertical descent, 2 abort, 3 braking",
-    "lost": "1 while navigation reports that it is lost",
-}
 # Frames of the recorded positions, as in `lunarsim.frames`.
 _TRUE_FRAME, _LOCAL_FRAME = (
     "true ENU: origin at the centre of the terrain, at its mean elevation",
@@ -106,8 +90,8 @@ class Flight:
     target
         Target of the mission (3,), true frame, m.
     trajectory
-        One value per control cycle (n,) of each column in `COLUMNS`, by name. The site is the one
-        before the decision of the cycle.
+        One value per control cycle (n,) of each column in `columns.COLUMNS`, by name. The site is
+        the one before the decision of the cycle.
     decisions
         One dictionary per decision that changed the site.
     events
@@ -123,6 +107,8 @@ class Flight:
     candidates
         Candidate sites of the last decision (n, 5), float32: position in the local frame, m,
         probability of safe terrain, and propellant, kg.
+    readings
+        Readings of each sensor with ``is_recorded``: columns (n,) by name, by sensor.
     """
 
     scenario: str
@@ -138,6 +124,7 @@ class Flight:
     first_map: Estimate | None = None
     scans: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 4), np.float32))
     candidates: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 5), np.float32))
+    readings: dict[str, dict[str, Array]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.scans = np.asarray(self.scans, dtype=np.float32)
@@ -273,13 +260,16 @@ class Flight:
         units = {f"unit:{name}": unit for name, unit in COLUMNS.items()}
         frames = {f"frame:{what}": frame for what, frame in FRAMES.items()}
         _save_table(table.replace_schema_metadata(units | frames), folder / "trajectory.parquet")
-        for name, columns in (("scans", _SCAN_COLUMNS), ("candidates", _CANDIDATE_COLUMNS)):
+        for name, axes in (("scans", _SCAN_COLUMNS), ("candidates", _CANDIDATE_COLUMNS)):
             data = getattr(self, name)
-            cloud = {column: data[:, i] for i, column in enumerate(columns)}
+            cloud = {column: data[:, i] for i, column in enumerate(axes)}
             placed = pa.table(cloud).replace_schema_metadata({"frame": _LOCAL_FRAME})
             _save_table(placed, folder / f"{name}.parquet")
-        for old in (folder / "maps").glob("*"):
-            old.unlink()  # map of an earlier flight in this folder
+        # Maps and readings of an earlier flight in this folder.
+        for old in [*(folder / "maps").glob("*"), *folder.glob("readings.*.parquet")]:
+            old.unlink()
+        for name, columns in self.readings.items():
+            _save_table(pa.table(columns), folder / f"readings.{name}.parquet")
         for name, record in self.maps.items():
             _save_map(name, record, folder / "maps")
         written = sorted(folder.glob("*.parquet")) + sorted((folder / "maps").glob("*"))
@@ -302,6 +292,7 @@ class Flight:
             "events": self.events,
             "decision_mapper": self.decision_mapper,
             "maps": list(self.maps),
+            "readings": list(self.readings),
             "first_map": None if first is None else _plain(asdict(first) | {"covariance": None}),
             "lost": self.lost,
             "first_lost_s": self.first_lost_time,
@@ -337,6 +328,10 @@ class Flight:
                 first_map=None if first is None else _estimate(first),
                 scans=read_rows(folder, "scans", _SCAN_COLUMNS),
                 candidates=read_rows(folder, "candidates", _CANDIDATE_COLUMNS),
+                readings={
+                    name: read_columns(folder, folder / f"readings.{name}.parquet")
+                    for name in record.get("readings", [])
+                },
             )
 
 

@@ -17,8 +17,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
+from lunarsim.core.touchdown import VALUES
 from lunarsim.errors import InputError, error_reason
 from lunarsim.grid import Grid
 from lunarsim.json_files import read_json
@@ -42,20 +43,14 @@ class _StrictRecord(BaseModel):
     model_config = ConfigDict(strict=True, extra="allow")
 
 
-class _Touchdown(BaseModel):
-    """Touchdown in ``flight.json``: the fields of `vehicle.touchdown.Touchdown`."""
-
-    model_config = ConfigDict(strict=True, extra="forbid")
-
-    position: _Vector
-    heading: float
-    vertical_speed: float
-    horizontal_speed: float
-    tilt: float
-    rate: float
-    slope: float
-    roughness: float
-    tip_margin: float
+# Touchdown in ``flight.json``: the fields of `vehicle.touchdown.Touchdown`.
+_TOUCHDOWN_FIELDS: dict[str, Any] = dict.fromkeys(("heading", *VALUES), (float, ...))
+_Touchdown = create_model(
+    "_Touchdown",
+    __config__=ConfigDict(strict=True, extra="forbid"),
+    position=(_Vector, ...),
+    **_TOUCHDOWN_FIELDS,
+)
 
 
 class _OutcomeRecord(_StrictRecord):
@@ -113,6 +108,7 @@ class FlightRecord(_StrictRecord):
     events: list[_Event]
     decision_mapper: str
     maps: list[_Name]
+    readings: list[_Name] = []
     first_map: _Estimate | None
     digests: dict[str, str] = {}
 
@@ -135,7 +131,7 @@ def reading(path: Path) -> Iterator[None]:
 def _reason(error: Exception, suffix: str) -> str:
     """Return the first line of an error's message, with the invalid field if known.
 
-    `suffix` is the suffix of the file. Messages of libraries follow the name of the file's format.
+    `suffix` is the suffix of the file. Messages of libraries about its format are omitted.
     """
     if isinstance(error, ValidationError):
         first = error.errors()[0]
@@ -149,7 +145,7 @@ def _reason(error: Exception, suffix: str) -> str:
     if isinstance(error, _DefectError) or getattr(error, "strerror", None):
         return reason
     formats = {".parquet": "Parquet", ".nc": "NetCDF"}
-    return f"no valid {formats[suffix]} file: {reason}" if suffix in formats else reason
+    return f"it is not a valid {formats[suffix]} file" if suffix in formats else reason
 
 
 def _damaged(path: Path, reason: str) -> InputError:
@@ -230,7 +226,10 @@ def read_columns(
         names = list(f.schema_arrow.names) if required is None else list(required)
         for name in names:
             if name not in f.schema_arrow.names:
-                raise _DefectError(f"column {name} is missing")
+                raise InputError(
+                    "flight", str(path), f"has no column {name}: another version wrote it",
+                    "Fly its scenario again, or read it with the version that wrote it.",
+                )  # fmt: skip
             kind = f.schema_arrow.field(name).type
             if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or kind == pa.bool_()):
                 raise _DefectError(f"column {name} is of type {kind}")
@@ -314,5 +313,5 @@ def _local_dataset(file: Any, name: str) -> Any:
 
     link, dataset = file.get(name, getlink=True), file[name]
     if not isinstance(link, h5py.HardLink) or dataset.external or dataset.is_virtual:
-        raise _DefectError(f"{name} links to another place or file")
+        raise _DefectError(f"its variable {name} is a link to other data, which is not read")
     return dataset

@@ -19,6 +19,7 @@ from lunarsim.onboard.policies.contract import Decision, Observation, Retargetin
 from lunarsim.parts import resolve, settings_of
 from lunarsim.rng import RandomStreams
 from lunarsim.scenario import Scenario
+from lunarsim.simulation.columns import Cycle
 from lunarsim.simulation.cycle import fly_cycle
 from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.mission import plan
@@ -152,7 +153,12 @@ class Simulation:
         # A policy that uses the truth is queried here; any other runs on the computer.
         self._oracle = self.policy if getattr(self.policy, "knows_truth", False) else None
         self.computer = OnboardComputer(briefing, None if self._oracle else self.policy)
-        self.recorder = Recorder(briefing.target)
+        recorded = [
+            name
+            for name, part in scenario.sensors.items()
+            if getattr(part.make(), "is_recorded", False)
+        ]
+        self.recorder = Recorder(briefing.target, recorded)
         self._tap = tap
         if tap is not None:
             tap.briefing = briefing
@@ -267,7 +273,7 @@ class Simulation:
         c.update(measurements)
         self.recorder.record_measurements(measurements, c, self.navigation_error)
         left = 0.0 if self.done else max(c.time_to_go, 0.0)
-        self.recorder.add_row(self.time, self.state, c.estimate, c.site, left, c.phase)
+        self.recorder.add_row(Cycle(self.time, self.state, c, left))
 
     @one_blas_thread()
     def decide(self) -> None:

@@ -158,10 +158,12 @@ class Plant:
             if not instrument.is_tasked
         ]
         items += [(task.sensor, self._measure(task.sensor, task.mount)) for task in tasks]
-        return Measurements(self.time, tuple(items))
+        return Measurements(self.time, tuple(item for item in items if item[1] is not None))
 
-    def _measure(self, name: str, mount: Array | None) -> object:
+    def _measure(self, name: str, mount: Array | None) -> object | None:
         """Return a measurement of a sensor by name, after a check of its type.
+
+        None: the sensor measures on its own, and not in this cycle.
 
         `mount` (3, 3) is the commanded rotation, sensor to body, which is limited to the gimbal
         limit; None: no command.
@@ -169,6 +171,8 @@ class Plant:
         i = self._instruments[name]
         held = None if mount is None else limit_mount(mount.copy(), i.gimbal_limit)
         found = i.sensor.measure(self.world, self.state, self.time, i.rng, held)
+        if found is None and not i.is_tasked:
+            return None
         if not isinstance(found, i.part.measurement_type):
             wanted = f"a measurement of type {i.part.measurement_type.__name__}"
             raise wrong_result_error(f"sensors.{name}", i.part, "measure", found, wanted, self.time)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,10 @@ from lunarsim.messages.measurements import CameraImage, LidarScan, Measurements
 from lunarsim.onboard.computer import OnboardComputer
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.contract import Candidates, Decision
-from lunarsim.simulation.flight import COLUMNS, Flight
+from lunarsim.simulation.columns import COLUMNS, Cycle, row_of
+from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.map_record import MapRecord
 from lunarsim.typing import Array
-from lunarsim.vehicle.state import State
 from lunarsim.vehicle.touchdown import LandingOutcome
 
 # Maximum number of LiDAR returns kept per scan, enough for a figure.
@@ -54,10 +55,13 @@ class Recorder:
     ----------
     target
         Target of the mission (3,), m.
+    recorded
+        Names of the sensors whose readings are recorded.
     """
 
-    def __init__(self, target: Array) -> None:
+    def __init__(self, target: Array, recorded: Sequence[str] = ()) -> None:
         self._target = target
+        self._readings: dict[str, list[Any]] = {name: [] for name in recorded}
         self._rows: list[Array] = []
         self._scans: list[Array] = []
         self._sensor_events: list[dict[str, Any]] = []
@@ -65,33 +69,9 @@ class Recorder:
         self._errors: dict[str, Array] = {}
         self._first_map: Estimate | None = None
 
-    def add_row(
-        self,
-        time: float,
-        state: State,
-        estimate: Estimate,
-        site: Array,
-        time_to_go: float,
-        phase: int,
-    ) -> None:
-        """Add true state, estimate and landing site of one control cycle.
-
-        `site` is (3,) in the local frame, m; `time` and `time_to_go` are in s; `phase` is a number
-        as in `flight.COLUMNS`.
-        """
-        self._rows.append(
-            np.concatenate(
-                (
-                    [time],
-                    state.as_vector(),
-                    estimate.position,
-                    estimate.velocity,
-                    [estimate.mass],
-                    site,
-                    [time_to_go, phase, estimate.lost],
-                )
-            )
-        )
+    def add_row(self, cycle: Cycle) -> None:
+        """Add the row of one control cycle to the trajectory."""
+        self._rows.append(row_of(cycle))
 
     def trajectory(self) -> dict[str, Array]:
         """Return the recorded trajectory as columns (n,) by name."""
@@ -101,13 +81,15 @@ class Recorder:
     def record_measurements(
         self, measurements: Measurements, computer: OnboardComputer, error: Array
     ) -> None:
-        """Record scans, images and map updates of one control cycle.
+        """Record scans, images, readings and map updates of one control cycle.
 
         `error` (3,) is local minus true coordinates of updated maps, m.
         """
         for sensor, measurement in measurements.items:
             if isinstance(measurement, LidarScan | CameraImage):
                 self._record_sensor(sensor, measurement, computer)
+            if sensor in self._readings:
+                self._readings[sensor].append(measurement)
         for name in computer.updated_mappers:
             self._errors[name] = error
             if self._first_map is None:
@@ -189,7 +171,24 @@ class Recorder:
             first_map=self._first_map,
             scans=np.vstack([np.zeros((0, 4)), *self._scans]).astype(np.float32),
             candidates=_table(computer.candidates).astype(np.float32),
+            readings={name: _columns(found) for name, found in self._readings.items() if found},
         )
+
+
+def _columns(measurements: Sequence[Any]) -> dict[str, Array]:
+    """Return the fields of measurements as columns (n,) by name, such as "angles_0".
+
+    `measurements` are dataclass objects of one type; fields that are None are omitted.
+    """
+    columns: dict[str, Array] = {}
+    for f in fields(measurements[0]):
+        values = [getattr(one, f.name) for one in measurements]
+        if values[0] is None:
+            continue
+        table = np.array(values, dtype=np.float64).reshape(len(values), -1)
+        names = [f.name] if table.shape[1] == 1 else [f"{f.name}_{k}" for k in range(len(table.T))]
+        columns |= dict(zip(names, table.T.copy(), strict=True))
+    return columns
 
 
 def _as_dict(time: float, old: Array, new: Decision) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import re
 import sys
 from pathlib import Path
 
@@ -17,7 +18,7 @@ def study_files() -> dict[str, Path]:
     root = folder()
     found = {}
     for path in sorted([*root.glob("*.py"), *root.glob("*/*.py")]):
-        if "study = Study(" in path.read_text(encoding="utf-8"):
+        if re.search(r"^study\b.*= Study\(", path.read_text(encoding="utf-8"), re.MULTILINE):
             found[str(path.relative_to(root).with_suffix(""))] = path
     return found
 

@@ -28,7 +28,7 @@ class Metric:
     statistic
         "share" (fraction of true values with its 95 % Wilson interval), "mean" (with its 95 %
         interval), "median", "max", "median-max" (both), "median-p95" (median and 95th percentile),
-        "count" (number of true values), or "sum".
+        "rms" (root mean square), "count" (number of true values), or "sum".
     digits
         Number of decimal digits.
     """
@@ -76,6 +76,7 @@ class Metric:
 
 _STATISTICS: dict[str, Callable[[Array], Any]] = {
     "median": np.median, "max": np.max, "sum": np.sum, "p95": lambda x: np.percentile(x, 95.0),
+    "rms": lambda x: np.sqrt(np.mean(x**2)),
 }  # fmt: skip
 
 

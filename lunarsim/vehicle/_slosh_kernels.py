@@ -46,11 +46,11 @@ def pendulum(tank, fill, bob):
 
 @kernel()
 def _subtract_bob(mass, bob, rate, mass_matrix, right_side):
-    """Remove a bob at rest from the body's equations of motion.
+    """Remove a pendulum bob fixed to the body from the equations of motion.
 
-    The equations are `mass_matrix` (6, 6) times linear and angular acceleration = `right_side`.
-    `mass` and `bob` (3,) are the bob's mass, kg, and position from the centre of mass, m; `rate`
-    (3,) is the angular velocity, rad/s.
+    `_add_pendulum` then adds the swinging bob. The equations are `mass_matrix` (6, 6) times linear
+    and angular acceleration = `right_side`. `mass` and `bob` (3,) are the bob's mass, kg, and
+    position from the centre of mass, m; `rate` (3,) is the angular velocity, rad/s.
     """
     square = bob[0] * bob[0] + bob[1] * bob[1] + bob[2] * bob[2]
     for k in range(3):

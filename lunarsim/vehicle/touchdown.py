@@ -17,11 +17,6 @@ from lunarsim.vehicle.state import State
 
 # Spacing of terrain samples under pads and belly, m.
 TERRAIN_SAMPLE_SPACING_M = 0.04
-# Names of the touchdown limits, in the order in which they are checked.
-TOUCHDOWN_LIMITS = (
-    "off-map", "vertical-speed", "horizontal-speed", "tilt", "rate", "slope", "roughness", "belly",
-    "tip-over",
-)  # fmt: skip
 
 
 class ElevationModel(Protocol):
@@ -120,17 +115,11 @@ def min_touchdown_margin(lander: Lander, touchdown: Touchdown) -> float:
     1: at rest on flat terrain; 0: at a limit; negative: `evaluate_touchdown` reports a violation;
     NaN: unknown terrain.
     """
-    t = touchdown
-    margins = (
-        1.0 - t.vertical_speed / lander.vertical_speed_limit,
-        1.0 - t.horizontal_speed / lander.horizontal_speed_limit,
-        1.0 - t.tilt / lander.tilt_limit,
-        1.0 - t.rate / lander.rate_limit,
-        1.0 - t.slope / lander.slope_limit,
-        1.0 - t.roughness / min(lander.roughness_limit, lander.belly_clearance),
-        t.tip_margin,
-    )
-    return float(np.min(margins))  # NaN if one is
+    margins = [
+        1.0 - getattr(touchdown, limit.value) / getattr(lander, limit.limit)
+        for limit in core.LIMITS
+    ]
+    return float(np.min([*margins, touchdown.tip_margin]))  # NaN if one is
 
 
 def evaluate_touchdown(
@@ -138,7 +127,7 @@ def evaluate_touchdown(
 ) -> LandingOutcome:
     """Determine the landing outcome from the state at touchdown and the true terrain.
 
-    Limits are checked in the order of `TOUCHDOWN_LIMITS`: ``off-map`` is unknown terrain, and
+    Limits are checked in the order of `core.touchdown.CAUSES`: ``off-map`` is unknown terrain, and
     ``belly`` is terrain above the belly clearance.
     """
     legs = pad_contacts(lander, state, terrain)
@@ -146,24 +135,22 @@ def evaluate_touchdown(
     if np.isfinite(legs).all():
         points = core.samples_between_legs(legs, TERRAIN_SAMPLE_SPACING_M)
         heights = np.asarray(terrain.elevation(points), dtype=np.float64)
-    values = np.empty(7)
+    values = np.empty(len(core.VALUES))
     failed = core.evaluate_touchdown(
         state.as_vector(), legs, points, heights, touchdown_params(lander, gravity), values
     )
     forward = quat_rotate(state.attitude, [1.0, 0.0, 0.0])
     heading = float(np.arctan2(forward[0], forward[1]))
-    touchdown = Touchdown(state.position, heading, *(float(value) for value in values))
+    named = dict(zip(core.VALUES, map(float, values), strict=True))
+    touchdown = Touchdown(state.position, heading, **named)
     return LandingOutcome(not failed, violated_limits(failed), touchdown)
 
 
 def touchdown_params(lander: Lander, gravity: float) -> core.TouchdownParams:
     """Return the parameters of a lander and gravity (m/s^2) for `core.touchdown`."""
-    limits = (
-        lander.vertical_speed_limit, lander.horizontal_speed_limit, lander.tilt_limit,
-        lander.rate_limit, lander.slope_limit, lander.roughness_limit, lander.belly_clearance,
-    )  # fmt: skip
+    limits = np.array([float(getattr(lander, limit.limit)) for limit in core.LIMITS])
     return core.TouchdownParams(
-        np.array(limits), float(lander.com_height), float(gravity), float(lander.dry_mass),
+        limits, float(lander.com_height), float(gravity), float(lander.dry_mass),
         float(lander.wet_mass), np.array([lander.inertia_dry, lander.inertia_full]),
     )  # fmt: skip
 
@@ -173,4 +160,4 @@ def violated_limits(failed: int) -> tuple[str, ...]:
 
     `failed` is the result of `core.touchdown.evaluate_touchdown`; 0 gives an empty tuple.
     """
-    return tuple(name for bit, name in enumerate(TOUCHDOWN_LIMITS) if failed >> bit & 1)
+    return tuple(name for bit, name in enumerate(core.CAUSES) if failed >> bit & 1)

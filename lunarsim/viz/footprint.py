@@ -10,8 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from matplotlib.path import Path as Outline
 
+from lunarsim.core.touchdown import LIMITS, TouchdownLimit
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
+from lunarsim.parts.quantity import quantity_of
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.flight import Flight
 from lunarsim.typing import Array
@@ -138,18 +140,22 @@ def _mark_belly_contact(axes: Any, grid: Grid, above: Array, pads: Array, cleara
     return bool(high.any())
 
 
+def _limit_row(
+    limit: TouchdownLimit, touchdown: Touchdown, lander: Lander
+) -> tuple[str, float, float, str]:
+    """Return label, value and maximum of a limit in the unit of its key, and the unit."""
+    about = quantity_of(type(lander).__dataclass_fields__[limit.limit].metadata)
+    assert about is not None
+    unit = about.unit
+    scale = np.rad2deg(1.0) if unit.startswith("deg") else 1.0
+    value, maximum = getattr(touchdown, limit.value), getattr(lander, limit.limit)
+    return limit.label, scale * value, scale * maximum, unit
+
+
 def _draw_limits(axes: Any, touchdown: Touchdown, lander: Lander) -> None:
     """Draw each touchdown metric as a fraction of its limit, with both values as text."""
-    rows = [
-        ("Slope", np.rad2deg(touchdown.slope), np.rad2deg(lander.slope_limit), "deg"),
-        ("Roughness", touchdown.roughness, lander.roughness_limit, "m"),
-        ("Belly clearance", touchdown.roughness, lander.belly_clearance, "m"),
-        ("Vertical speed", touchdown.vertical_speed, lander.vertical_speed_limit, "m/s"),
-        ("Lateral speed", touchdown.horizontal_speed, lander.horizontal_speed_limit, "m/s"),
-        ("Tilt", np.rad2deg(touchdown.tilt), np.rad2deg(lander.tilt_limit), "deg"),
-        ("Angular rate", np.rad2deg(touchdown.rate), np.rad2deg(lander.rate_limit), "deg/s"),
-        ("Tipping energy", 1.0 - touchdown.tip_margin, 1.0, "(normalised)"),
-    ]
+    rows = [_limit_row(limit, touchdown, lander) for limit in LIMITS]
+    rows.append(("Tipping energy", 1.0 - touchdown.tip_margin, 1.0, "(normalised)"))
     share = np.array([value / limit for _, value, limit, _ in rows])
     colours = [_VIOLATION_COLOUR if s > 1.0 else COLOURS[0] for s in share]
     place = np.arange(len(rows))

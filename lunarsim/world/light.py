@@ -75,8 +75,8 @@ class Light:
         0.0,
         ge=0,
         le=1,
-        help="uniform radiance factor I/F of shadowed terrain, divided by the albedo; 0: black "
-        "shadows",
+        help="brightness of shadows: radiance factor I/F of shadowed terrain, as a fraction of the "
+        "albedo; 0: black shadows",
     )
     photometry: Literal["lambert", "lunar-lambert", "hapke"] = quantity(
         "lunar-lambert",

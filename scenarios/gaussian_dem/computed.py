@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from paper import PAPER_3, PAPER_7
-from rich.progress import track
 from testbed import (
     CONFIGURATIONS,
     DENSITY,
@@ -50,6 +49,8 @@ from lunarsim.safety import (
 from lunarsim.world.terrain import place_rocks
 
 DATA = Path(__file__).parents[1] / "data"
+Rows = list[dict[str, Any]]
+SCANS = range(len(CONFIGURATIONS))
 METHODS = ("baseline", "proposed", "planes")  # "planes" is `plane_stochastic_safety`
 KINDS = ("slope", "roughness")
 # Offsets of the baseline grid in cells, east and north. Its samples have the same spacing as its
@@ -101,36 +102,25 @@ def complexity_terrain(c: float, seed: int) -> tuple[np.ndarray, Grid]:
     return rocks + np.float32(c) * Terrain(relief, RockField.empty()).raster(grid), grid
 
 
-def table_3(seeds: int) -> dict[str, Any]:
+def table_3(seed: int) -> tuple[Rows, list[Any]]:
     """Evaluate the conservative safety test on error-free terrain by complexity.
 
     The complexity `c` is a factor on the measured relief (Table 3 of the Gaussian DEM paper).
-    `seeds` is the number of terrains per complexity. The result holds precision, recall and
-    false-safe cells under `rows`, and the maps of the first terrain for the figures.
+    Returns a row per complexity, and the maps for the figure.
     """
     rows, shown = [], []
     for c, paper in PAPER_3.items():
-        ours, through = [], []
-        for seed in track(range(seeds), description=f"table 3, c = {c}"):
-            z, grid = complexity_terrain(c, seed)
-            exact = exact_safety(z, grid, LANDER).safe
-            level = conservative_safety(z, grid, LANDER).safe
-            planes = bounded_safety(z, grid, LANDER).safe
-            ours.append(MapQuality.of(level, exact))
-            through.append(MapQuality.of(planes, exact))
-            if seed == 0:
-                shown.append((c, z, exact, level, planes, grid))
-        rows.append(
-            {
-                "c": c,
-                "precision": [q.precision for q in ours],
-                "recall": [q.recall for q in ours],
-                "bounded": [q.recall for q in through],
-                "paper": paper,
-                "false_safe": sum(q.false_safe for q in ours + through),
-            }
-        )
-    return {"rows": rows, "pictures": shown}
+        z, grid = complexity_terrain(c, seed)
+        exact = exact_safety(z, grid, LANDER).safe
+        level = conservative_safety(z, grid, LANDER).safe
+        planes = bounded_safety(z, grid, LANDER).safe
+        own, bounded = MapQuality.of(level, exact), MapQuality.of(planes, exact)
+        rows.append({
+            "c": c, "precision": own.precision, "recall": own.recall, "bounded": bounded.recall,
+            "paper": paper, "false_safe": own.false_safe + bounded.false_safe,
+        })  # fmt: skip
+        shown.append((c, z, exact, level, planes, grid))
+    return rows, shown
 
 
 def table_4_row(distance: float, angle_deg: float) -> tuple[float, float, float, float, float]:
@@ -146,12 +136,18 @@ def table_4_row(distance: float, angle_deg: float) -> tuple[float, float, float,
     return x, 0.2 * distance, x / 256, 0.2 * distance / 256, 100 * 0.05 * distance / 500
 
 
-def table_4(seeds: int) -> dict[str, Any]:
+def table_4(seed: int) -> tuple[Rows, None]:
     """Compute coverage, sample distance and noise of nine LiDAR scans (Table 4).
 
-    `seeds` has no effect; the values are closed-form results of `table_4_row`.
+    `seed` has no effect; the values are closed-form results of `table_4_row`.
     """
-    return {"rows": [table_4_row(r, a) for r, a in CONFIGURATIONS]}
+    return [{**scan_of(n), "values": table_4_row(*CONFIGURATIONS[n])} for n in SCANS], None
+
+
+def scan_of(configuration: int) -> dict[str, float]:
+    """Return range (m) and angle off nadir (deg) of a scan configuration, for a row."""
+    distance, angle = CONFIGURATIONS[configuration]
+    return {"distance_m": distance, "angle_deg": angle}
 
 
 def negative_log_density(error: np.ndarray, variance: np.ndarray | float) -> float:
@@ -163,48 +159,43 @@ def negative_log_density(error: np.ndarray, variance: np.ndarray | float) -> flo
     return float(np.mean(error**2 / (2 * variance) + 0.5 * np.log(2 * np.pi * variance)))
 
 
-def table_5(seeds: int) -> dict[str, Any]:
+def table_5(seed: int) -> tuple[Rows, dict[str, list[Any]]]:
     """Compute elevation errors of the baseline and proposed DEMs (Table 5).
 
     The baseline of the Gaussian DEM paper is a conventional DEM; the proposed one is the Gaussian
-    DEM. `seeds` is the number of simulated terrains. In the result, ``rows`` holds six lists per
-    scan configuration, with one value per terrain: RMSE of the baseline (mean over the shifts of
-    its grid), RMSE of the proposed DEM, negative log predictive density of the baseline and of the
-    proposed DEM, and the baseline RMSE at its best and worst grid shift. The maps of the first
-    terrain are for the figures.
+    DEM. Returns a row per scan configuration: RMSE of the baseline (mean, minimum and maximum over
+    the shifts of its grid) and of the proposed DEM (m), and negative log predictive density of
+    both. The maps are for the figures.
     """
-    rows: list[list[list[float]]] = [[[] for _ in range(6)] for _ in CONFIGURATIONS]
+    rows = []
     shown: dict[str, list[Any]] = {"baseline": [], "mean": [], "sigma": []}
-    for seed in track(range(seeds), description="table 5"):
-        field = testbed(seed)
-        for n, (distance, angle) in enumerate(CONFIGURATIONS):
-            one = map_testbed(field, distance, angle, np.random.default_rng([seed, n]), **DENSITY)
-            truth = field.elevation[one.window]
-            # Cells within the convex hull of the samples, also occluded ones (with the prior
-            # variance).
-            inside = np.isfinite(one.dem.mean)
-            rmse, nlpd = [], []
-            posting = sample_distance(distance, angle)
-            for phase in PHASES:
-                coarse, nearest = conventional_dem_cells(one.points, one.grid, posting, phase)
-                error = (coarse.elevation[nearest] - truth)[inside].astype(float)
-                rmse.append(rms(error))
-                nlpd.append(negative_log_density(error, one.sigma**2))
-                if seed == 0 and phase == (0.0, 0.0):
-                    one_shown = (coarse.elevation[nearest], one.grid, one.points)
-                    shown["baseline"].append(one_shown)
-            own = (one.dem.mean - truth)[inside].astype(float)
-            values = (
-                statistics.mean(rmse), rms(own), statistics.mean(nlpd),
-                negative_log_density(own, one.dem.variance[inside].astype(float)),
-                min(rmse), max(rmse),
-            )  # fmt: skip
-            for column, value in zip(rows[n], values, strict=True):
-                column.append(value)
-            if seed == 0:
-                shown["mean"].append((one.dem.mean, one.grid, one.points))
-                shown["sigma"].append((np.sqrt(one.dem.variance), one.grid, one.points))
-    return {"rows": rows, "pictures": shown}
+    field = testbed(seed)
+    for n, (distance, angle) in enumerate(CONFIGURATIONS):
+        one = map_testbed(field, distance, angle, np.random.default_rng([seed, n]), **DENSITY)
+        truth = field.elevation[one.window]
+        # Cells within the convex hull of the samples, also occluded ones (with the prior
+        # variance).
+        inside = np.isfinite(one.dem.mean)
+        rmse, nlpd = [], []
+        posting = sample_distance(distance, angle)
+        for phase in PHASES:
+            coarse, nearest = conventional_dem_cells(one.points, one.grid, posting, phase)
+            error = (coarse.elevation[nearest] - truth)[inside].astype(float)
+            rmse.append(rms(error))
+            nlpd.append(negative_log_density(error, one.sigma**2))
+            if phase == (0.0, 0.0):
+                shown["baseline"].append((coarse.elevation[nearest], one.grid, one.points))
+        own = (one.dem.mean - truth)[inside].astype(float)
+        rows.append({
+            **scan_of(n), "rmse_baseline": statistics.mean(rmse), "rmse_proposed": rms(own),
+            "nlpd_baseline": statistics.mean(nlpd),
+            "nlpd_proposed":
+            negative_log_density(own, one.dem.variance[inside].astype(float)),
+            "rmse_best_phase": min(rmse), "rmse_worst_phase": max(rmse),
+        })  # fmt: skip
+        shown["mean"].append((one.dem.mean, one.grid, one.points))
+        shown["sigma"].append((np.sqrt(one.dem.variance), one.grid, one.points))
+    return rows, shown
 
 
 def rms(error: np.ndarray) -> float:
@@ -283,59 +274,35 @@ def evaluate_scan(field: TestbedField, seed: int, configuration: int) -> ScanEva
     return ScanEvaluation(p, truth_of(field, scanned), evaluated, own.p_safe, scanned)
 
 
-def table_6(seeds: int) -> dict[str, Any]:
+def table_6(seed: int) -> tuple[Rows, dict[str, list[Any]]]:
     """Compute precision, recall and calibration of the safety tests (Table 6).
 
     The methods are the baseline of the Gaussian DEM paper (conventional DEM), the proposed one
-    (Gaussian DEM) and support planes. `seeds` is the number of simulated terrains. In the result,
-    ``curves`` holds the precision-recall counts by kind of hazard, configuration and method, one
-    per terrain; ``at_half`` and ``precision_recall`` are computed from them. The counts of the
-    baseline are summed over the shifts of its grid. ``reliability`` holds the calibration counts of
-    p_safe.
+    (Gaussian DEM) and support planes. Returns a row per scan configuration: "counts" has the
+    numbers of unsafe and of safe cells by probability for each method and kind of hazard, for
+    instance "proposed slope", and "at_half" precision and recall at p > 0.5. The counts of the
+    baseline are summed over the shifts of its grid. "reliability" is the calibration table of
+    p_safe. The maps are for the figures.
     """
-    numbers = range(len(CONFIGURATIONS))
+    rows = []
     shown: dict[str, list[Any]] = {f"{m} {k}": [] for m in METHODS[:2] for k in KINDS}
-    bins = np.zeros((len(CONFIGURATIONS), 20, 3))
-    curves: dict[tuple[str, int, str], list[PrecisionRecall]] = {
-        (kind, n, method): [] for kind in KINDS for n in numbers for method in METHODS
-    }
-    for seed in track(range(seeds), description="table 6"):
-        field = testbed(seed)
-        for n in numbers:
-            one = evaluate_scan(field, seed, n)
-            seen = one.evaluated
-            for (method, kind), maps in one.p.items():
-                truth = one.truth[kind]
-                counted = [PrecisionRecall.of(p[seen], truth[seen]) for p in maps]
-                curves[kind, n, method].append(pool_counts(counted))
-                if seed == 0 and method != "planes":
-                    missing = np.where(seen, truth - maps[0], np.nan)
-                    one_shown = (missing, one.scan.grid, one.scan.points)
-                    shown[f"{method} {kind}"].append(one_shown)
-            safe = np.logical_and(*one.truth.values())
-            bins[n] += reliability(one.p_safe[seen], safe[seen], np.linspace(0.0, 1.0, 21))
-    together = {key: pool_counts(own) for key, own in curves.items()}
-    return {
-        "pictures": shown,
-        "reliability": bins.tolist(),
-        "curves": curves,
-        "at_half": {
-            f"{method} {kind}": [
-                [[q.precision, q.recall] for q in (c.at_half() for c in curves[kind, n, method])]
-                for n in numbers
-            ]
-            for method in METHODS
-            for kind in KINDS
-        },
-        "precision_recall": {
-            f"{method} {kind}": [
-                [together[kind, n, method].unsafe.tolist(), together[kind, n, method].safe.tolist()]
-                for n in numbers
-            ]
-            for method in METHODS
-            for kind in KINDS
-        },
-    }
+    field = testbed(seed)
+    for n in SCANS:
+        one = evaluate_scan(field, seed, n)
+        seen, counts, at_half = one.evaluated, {}, {}
+        for (method, kind), maps in one.p.items():
+            truth, name = one.truth[kind], f"{method} {kind}"
+            pooled = pool_counts([PrecisionRecall.of(p[seen], truth[seen]) for p in maps])
+            half = pooled.at_half()
+            counts[name] = [pooled.unsafe, pooled.safe]
+            at_half[name] = [half.precision, half.recall]
+            if method != "planes":
+                missing = np.where(seen, truth - maps[0], np.nan)
+                shown[name].append((missing, one.scan.grid, one.scan.points))
+        safe = np.logical_and(*one.truth.values())
+        table = reliability(one.p_safe[seen], safe[seen], np.linspace(0.0, 1.0, 21))
+        rows.append({**scan_of(n), "counts": counts, "at_half": at_half, "reliability": table})
+    return rows, shown
 
 
 def pool_counts(counts: list[PrecisionRecall]) -> PrecisionRecall:
@@ -354,33 +321,29 @@ def median_time(call: Callable[[], Any], repeats: int) -> float:
     return statistics.median(times)
 
 
-def table_7(seeds: int) -> dict[str, Any]:
+def table_7(seed: int) -> tuple[Rows, None]:
     """Measure run times of DEMs and safety tests at four grid spacings (Table 7).
 
-    The input is a scan of 65,536 points from 500 m over 100 x 100 m. `seeds` has no effect. Each
-    row of the result holds the grid spacing (m) and the times (s) of the baseline safety test, the
-    Gaussian DEM and the stochastic safety test.
+    The input is a scan of 65,536 points from 500 m over 100 x 100 m. `seed` has no effect. A row
+    has the grid spacing (m) and the times (s) of the baseline safety test, the Gaussian DEM and the
+    stochastic safety test.
     """
     field = testbed(0, side=20.0)
     points, sigma, shape = scan(field, 500.0, 0.0, np.random.default_rng(0))
     rows = []
-    for posting in track(PAPER_7, description="table 7"):
+    for posting in PAPER_7:
         grid = Grid.centred((0.0, 0.0), 100.0, posting)
 
         def build(grid: Grid = grid):
             return gaussian_dem(points, grid, sigma_eps=sigma, image_shape=shape, **MARGIN)
 
         dem = build()
-        rows.append(
-            {
-                "posting": posting,
-                "baseline": median_time(
-                    lambda: alhat_safety(dem.mean, grid, LANDER, sigma=sigma), 3
-                ),
-                "dem": median_time(build, 9),
-                "safety": median_time(
-                    lambda: stochastic_safety(dem.mean, dem.variance, grid, LANDER), 9
-                ),
-            }
-        )
-    return {"rows": rows}
+        rows.append({
+            "posting": posting,
+            "baseline": median_time(lambda: alhat_safety(dem.mean, grid, LANDER, sigma=sigma), 3),
+            "dem": median_time(build, 9),
+            "safety": median_time(
+                lambda: stochastic_safety(dem.mean, dem.variance, grid, LANDER), 9
+            ),
+        })  # fmt: skip
+    return rows, None

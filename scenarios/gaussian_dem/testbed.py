@@ -25,6 +25,20 @@ DENSITY = {"sigma_f": 0.1, "length_scale": 10.0}  # Table 5
 MARGIN = {"sigma_f": 0.5, "length_scale": 30.0}  # Tables 6 and 7
 
 
+def growth(setting: dict[str, float]) -> float:
+    """Return sigma_f^2 / length_scale, m, of a random field prior.
+
+    It is the rate at which the height variance grows with distance.
+    `setting` holds `sigma_f` and `length_scale` (m).
+    """
+    return setting["sigma_f"] ** 2 / setting["length_scale"]
+
+
+def prior_of_growth(growth_m: float) -> dict[str, float]:
+    """Return a random field prior with a value of sigma_f^2 / length_scale, m."""
+    return {"sigma_f": float(np.sqrt(growth_m * 30.0)), "length_scale": 30.0}
+
+
 @dataclass(frozen=True)
 class TestbedField:
     """One simulated testbed: hemispheric rocks on a plane of 200 x 200 m.

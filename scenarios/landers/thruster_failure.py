@@ -36,7 +36,7 @@ FAILURES: dict[str, tuple[int | None, ...]] = {
 
 
 def fly(case: Case) -> list[dict[str, Any]]:
-    """Simulate one flight with each thruster of a set stuck shut."""
+    """Simulate one flight repeatedly, with each thruster of a set in turn stuck shut."""
     return [fly_once(case, thruster) for thruster in FAILURES[case["failure"]]]
 
 

@@ -7,8 +7,8 @@ vehicle finds its position on a map), navigation uses the truth plus an error bu
 flight of each index runs all mappers: their maps are compared with exact safety at the first and
 the last decision, by stratum of the true terrain, over all terrain that any of them has observed.
 Where a map claims a calibrated probability it is evaluated as one; elsewhere its value is a bound.
-Intervals are 95 %: Wilson for landings, bootstrap over flights for maps. With --out every finished
-flight is saved, and the same command resumes after an interruption.
+Intervals are 95 %: Wilson for landings, bootstrap over flights for maps. The table values are also
+written to figures.json in the folder of --out.
 
 python scenarios/lidar_maps/compare_mappers.py --flights 100 --jobs 2 --out out/mappers
 """
@@ -17,45 +17,29 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 from comparison_rows import ROWS
-from flight_cache import load_or_fly
-from mapper_flights import (
-    MAPPERS,
-    STRATA,
-    WAYS,
-    WORLDS,
-    MapEvaluation,
-    MapperFlight,
-    MapperFlightTask,
-    fly,
-)
+from mapper_flights import MAPPERS, STRATA, WAYS, WORLDS, fly
 from rich.table import Table
 from scipy.stats import binomtest
 
-from lunarsim.campaign.pool import collect_results
-from lunarsim.console import plain_console
 from lunarsim.evaluation.map_quality import MapQuality
 from lunarsim.evaluation.reliability import calibration_error
 from lunarsim.evaluation.statistics import Proportion
+from lunarsim.studies import Case, Report, Study, run_script
 from lunarsim.viz.style import COLOURS, new_figure, save
 
 RESAMPLES = 1000
-Flights = list[MapperFlight]
+Flights = list[dict[str, Any]]
 Figures = dict[str, dict[str, Any]]
 
 
-def counts_of(evaluated: list[MapEvaluation]) -> np.ndarray:
-    """Return the cell counts of maps by true and predicted safety (n, strata, 4).
-
-    The counts are true safe, false safe, missed (safe, called unsafe) and rejected cells.
-    """
-    return np.array([j.counts for j in evaluated], dtype=np.float64)
+def fly_mappers(case: Case) -> dict[str, Any]:
+    """Simulate the flights over one terrain, one with each map and policy."""
+    return fly(case["world"], case.number, case.seed)
 
 
 def metric_interval(
@@ -111,42 +95,39 @@ def landing_metrics(flights: Flights) -> Figures:
 
     Each combination is compared flight by flight with the first one.
     """
-    first = [f.rows[next(iter(WAYS))]["safe"] for f in flights]
+    first = [f["landings"][next(iter(WAYS))]["safe"] for f in flights]
     out = {}
     for way in WAYS:
-        mine = [f.rows[way]["safe"] for f in flights]
-        landed = Proportion(sum(mine), len(mine))
-        won = sum(a and not b for a, b in zip(mine, first, strict=True))
-        lost = sum(b and not a for a, b in zip(mine, first, strict=True))
+        mine = [f["landings"][way] for f in flights]
+        safe = [row["safe"] for row in mine]
+        landed = Proportion(sum(safe), len(safe))
+        won = sum(a and not b for a, b in zip(safe, first, strict=True))
+        lost = sum(b and not a for a, b in zip(safe, first, strict=True))
         out[way] = {
-            "flights": len(mine),
-            "landed": landed.count,
-            "interval": landed.interval,
-            "won": won,
-            "lost": lost,
+            "flights": len(mine), "landed": landed.count, "interval": landed.interval,
+            "won": won, "lost": lost,
             "p_value": float(binomtest(won, won + lost).pvalue) if won + lost else 1.0,
-            "divert_median_m": float(np.median([f.rows[way]["divert_m"] for f in flights])),
-            "propellant_median_kg": float(
-                np.median([f.rows[way]["propellant_kg"] for f in flights])
-            ),
-        }
+            "divert_median_m": float(np.median([row["divert_m"] for row in mine])),
+            "propellant_median_kg": float(np.median([row["propellant_kg"] for row in mine])),
+        }  # fmt: skip
     return out
 
 
-def quality_metrics(evaluated: list[MapEvaluation]) -> dict[str, Any]:
+def quality_metrics(flights: Flights, mapper: str, moment: str) -> dict[str, Any]:
     """Return quality metrics of a mapper's maps at one decision; empty without maps.
 
-    `evaluated` holds one evaluation per flight.
+    `moment` is the decision, "first" or "last".
     """
+    evaluated = [e for f in flights if (e := f["maps"][mapper][moment]) is not None]
     if not evaluated:
         return {}
-    counts = counts_of(evaluated)
-    claims = np.sum([j.claimed for j in evaluated], axis=0)
+    counts = np.array([e["counts"] for e in evaluated], dtype=np.float64)
+    claims = np.sum([e["claimed"] for e in evaluated], axis=0)
     return {
         "precision": metric_interval(counts.sum(axis=1), precision),
         "recall": metric_interval(counts.sum(axis=1), recall),
         "claimed": float(claims[:, 0].sum() / max(counts.sum(), 1.0)),
-        "ece": calibration_error(np.sum([j.table for j in evaluated], axis=0)),
+        "ece": calibration_error(np.sum([e["table"] for e in evaluated], axis=0)),
         "skill": skill_of(claims.sum(axis=0)),
         "strata": {
             name: {
@@ -165,12 +146,12 @@ def map_metrics(flights: Flights) -> Figures:
     """Return map quality, computing time and memory by mapper."""
     out = {}
     for mapper in MAPPERS:
-        mine = [f.maps[mapper] for f in flights]
+        mine = [f["maps"][mapper] for f in flights]
         out[mapper] = {
-            "first": quality_metrics([m.first for m in mine if m.first is not None]),
-            "last": quality_metrics([m.last for m in mine if m.last is not None]),
-            "seconds": float(np.mean([m.seconds for m in mine])),
-            "megabytes": float(np.max([m.megabytes for m in mine])),
+            "first": quality_metrics(flights, mapper, "first"),
+            "last": quality_metrics(flights, mapper, "last"),
+            "seconds": float(np.mean([m["seconds"] for m in mine])),
+            "megabytes": float(np.max([m["megabytes"] for m in mine])),
         }
     return out
 
@@ -253,50 +234,29 @@ def _plot_intervals(
     )
 
 
-@click.command()
-@click.option("--flights", type=click.IntRange(min=2), default=10, show_default=True,
-              help="Number of flights per terrain.")  # fmt: skip
-@click.option("--worlds", default="; ".join(WORLDS), show_default=True,
-              help="Names of the terrains to fly over, separated by semicolons.")  # fmt: skip
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=1,
-    show_default=True,
-    help="Seed from which all random numbers derive.",
-)
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of parallel processes; it changes only the run times.")  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for figures.json (results), the figure and the flights. Default: "
-              "none.")  # fmt: skip
-def main(flights: int, worlds: str, seed: int, jobs: int, out: Path | None) -> None:
-    """Fly with each LiDAR map over each terrain; compare maps and landings."""
-    console = plain_console(200)
-    names = [w.strip() for w in worlds.split(";")]
-    for name in names:
-        if name not in WORLDS:
-            raise click.UsageError(f"--worlds: must be one of {'; '.join(WORLDS)}, got {name!r}")
-    if len(set(names)) < len(names):
-        raise click.UsageError(f"--worlds: must contain each world once, got {worlds!r}")
-    tasks = [MapperFlightTask(world, i, seed) for world in names for i in range(flights)]
-    flight = fly if out is None else partial(load_or_fly, out / "flights")
-    done = collect_results(flight, tasks, jobs, console, "flights")
-    by_world: dict[str, Flights] = {}
-    for task, flown in zip(tasks, done, strict=False):
-        by_world.setdefault(task.world, []).append(flown)
-    worlds_figures = {
-        world: {"landings": landing_metrics(own), "maps": map_metrics(own)}
-        for world, own in by_world.items()
+def print_comparison(report: Report) -> None:
+    """Print landings and map quality by terrain; write and plot them."""
+    worlds = {
+        world: {"landings": landing_metrics(flights), "maps": map_metrics(flights)}
+        for (world,), flights in report.groups("world").items()
     }
     for name in ROWS:
-        console.print(table_of(name, worlds_figures))
-    if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-        text_of = json.dumps(worlds_figures, indent=1)
-        (out / "figures.json").write_text(text_of, encoding="utf-8")
-        draw(worlds_figures, out / "mappers.png")
+        report.print(table_of(name, worlds))
+    if report.out is not None:
+        text = json.dumps(worlds, indent=1)
+        (report.out / "figures.json").write_text(text, encoding="utf-8")
+        draw(worlds, report.out / "mappers.png")
 
+
+study = Study(
+    fly_mappers,
+    repeats="flights",
+    count=10,
+    minimum=2,
+    factors={"world": list(WORLDS)},
+    factor_help={"world": "Terrain to fly over."},
+    report=print_comparison,
+)
 
 if __name__ == "__main__":
-    main()
+    run_script(study)

@@ -7,7 +7,7 @@ at once and decides with one of them: their maps use the same returns and are di
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -71,19 +71,6 @@ STRATA = (
 
 
 @dataclass(frozen=True)
-class MapperFlightTask:
-    """Settings of the flights over one terrain, one with each map and policy.
-
-    `world` is a name in `WORLDS`; `flight` (index) and `seed` (root seed) determine the random
-    numbers.
-    """
-
-    world: str
-    flight: int
-    seed: int
-
-
-@dataclass(frozen=True)
 class MapEvaluation:
     """Evaluation of a hazard map against the truth, by terrain class (stratum).
 
@@ -100,42 +87,6 @@ class MapEvaluation:
     counts: np.ndarray
     claimed: np.ndarray
     table: np.ndarray
-
-
-@dataclass(frozen=True)
-class MapperRecord:
-    """Results of a mapper in one flight.
-
-    Attributes
-    ----------
-    first, last
-        Evaluation of its map at the first and the last decision that had one; None without.
-    seconds
-        Computing time, s.
-    megabytes
-        Memory at the end, MB.
-    """
-
-    first: MapEvaluation | None
-    last: MapEvaluation | None
-    seconds: float
-    megabytes: float
-
-
-@dataclass(frozen=True)
-class MapperFlight:
-    """Results of the flights over one terrain, one with each map and policy.
-
-    Attributes
-    ----------
-    rows
-        Flight metrics by name of the map and policy in `WAYS`.
-    maps
-        Map evaluations by mapper.
-    """
-
-    rows: dict[str, dict[str, Any]]
-    maps: dict[str, MapperRecord]
 
 
 def scenario_of(world: str) -> Scenario:
@@ -262,15 +213,23 @@ def truth_on_map_grid(
 Maps = dict[str, HazardMap]
 
 
-def fly(task: MapperFlightTask) -> MapperFlight:
-    """Simulate the flights over one terrain, one with each map and policy."""
-    plain = scenario_of(task.world)
-    world = build_world(plain, RandomStreams(flight_seed(task.seed, task.flight)))
+def fly(world_name: str, flight: int, root_seed: int) -> dict[str, Any]:
+    """Simulate the flights over one terrain, one with each map and policy of `WAYS`.
+
+    `world_name` is a name in `WORLDS`; the number of the flight and the root seed determine the
+    random numbers.
+
+    "landings" has the metrics of each flight by name in `WAYS`. "maps" has, by mapper, the
+    evaluations of its map at the "first" and the "last" decision (None without), the computing time
+    in "seconds" and the memory at the end in "megabytes".
+    """
+    plain = scenario_of(world_name)
+    world = build_world(plain, RandomStreams(flight_seed(root_seed, flight)))
     truth = TerrainTruth.of(world, plain.vehicle.make())
-    rows: dict[str, dict[str, Any]] = {}
-    maps: dict[str, MapperRecord] = {}
+    landings: dict[str, dict[str, Any]] = {}
+    maps: dict[str, dict[str, Any]] = {}
     for n, (way, (mapper, policy)) in enumerate(WAYS.items()):
-        seed = flight_seed(task.seed, task.flight)
+        seed = flight_seed(root_seed, flight)
         carried = tuple(MAPPERS) if n == 0 else (mapper,)
         simulation = Simulation(
             with_mappers(plain, carried), seed, policy, world=world, truth=truth
@@ -279,11 +238,11 @@ def fly(task: MapperFlightTask) -> MapperFlight:
             maps = _fly_all_mappers(simulation, strata_of(world, truth))
         else:
             simulation.run()
-        rows[way] = evaluate(simulation.flight(), truth)
-    return MapperFlight(rows, maps)
+        landings[way] = evaluate(simulation.flight(), truth)
+    return {"landings": landings, "maps": maps}
 
 
-def _fly_all_mappers(simulation: Simulation, strata: np.ndarray) -> dict[str, MapperRecord]:
+def _fly_all_mappers(simulation: Simulation, strata: np.ndarray) -> dict[str, dict[str, Any]]:
     """Fly with all mappers; evaluate their maps at the first and the last decision.
 
     `strata` (rows, cols) is the terrain class of the truth cells.
@@ -299,10 +258,11 @@ def _fly_all_mappers(simulation: Simulation, strata: np.ndarray) -> dict[str, Ma
         simulation.step()
     ends = [evaluate_maps(*moment, simulation.truth, strata) for moment in seen[:1] + seen[-1:]]
     return {
-        name: MapperRecord(
-            *((ends[0][name], ends[-1][name]) if ends else (None, None)), clocks[name].seconds,
-            megabytes(mappers[name]),
-        )
+        name: {
+            "first": asdict(ends[0][name]) if ends else None,
+            "last": asdict(ends[-1][name]) if ends else None,
+            "seconds": clocks[name].seconds, "megabytes": megabytes(mappers[name]),
+        }
         for name in mappers
     }  # fmt: skip
 

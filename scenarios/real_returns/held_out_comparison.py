@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,6 @@ from returns import (
     SCAN_SPACING,
     SHIPPED,
     SIGMA,
-    STRATA,
     AirborneCloud,
     fit_prior,
     one_step_dem,
@@ -25,8 +25,7 @@ from scipy import ndimage
 
 from lunarsim import Grid, exact_safety
 from lunarsim.api import Lander
-from lunarsim.evaluation.map_quality import MapQuality
-from lunarsim.evaluation.reliability import brier_score, calibration_error, reliability
+from lunarsim.evaluation.reliability import calibration_error, reliability
 from lunarsim.onboard.hazards.gaussian_dem import GaussianDem
 from lunarsim.onboard.hazards.quadtree import SITE_STATUS, QuadtreeMapper
 from lunarsim.onboard.hazards.quadtree.mapper import rasterize_cells
@@ -34,6 +33,7 @@ from lunarsim.safety import plane_stochastic_safety, stochastic_safety
 
 POSTING = 0.25  # posting of the maps in the height test, m
 STRIDE = 5  # spacing of the safety test sites in cells: neighbours are correlated
+_SUMS = ("square_error", "called", "called_safe", "high", "high_safe")
 ELIGIBLE = SITE_STATUS.index("eligible")
 MIN_RETURNS = 4  # minimum number of mapped and of held-out returns in an evaluated quadtree cell
 
@@ -273,34 +273,53 @@ def exact_safety_of_returns(
     return exact_safety(np.where(dem.observed, dem.mean, np.nan), grid, lander)
 
 
-def safety_metrics(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
-    """Return quality metrics of p_safe against the true safety of sites (n,).
+def safety_counts(p: np.ndarray, safe: np.ndarray) -> dict[str, Any]:
+    """Count the true safety of sites (n,) by p_safe; counts of several splits can be added.
+
+    "table" is the reliability table; "called" counts sites with p > 0.5 and "high" sites with
+    p > 0.95. Sites without p_safe (NaN) are omitted.
+    """
+    known = np.isfinite(p)
+    p, safe = p[known], safe[known]
+    called, high = p > 0.5, p > 0.95
+    return {
+        "table": reliability(p, safe).tolist(),
+        "square_error": float(((p - safe.astype(np.float64)) ** 2).sum()),
+        "called": int(called.sum()), "called_safe": int((called & safe).sum()),
+        "high": int(high.sum()), "high_safe": int((high & safe).sum()),
+    }  # fmt: skip
+
+
+def safety_metrics(counts: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Return quality metrics of p_safe, pooled over several values of `safety_counts`.
 
     They are count, safe fraction, mean p, calibration error (ECE), Brier skill, precision and
     recall at p > 0.5, and safe fraction at p > 0.95.
     """
-    known = np.isfinite(p)
-    p, safe = p[known], safe[known]
-    names = ("n", "share", "mean_p", "ece", "skill", "precision", "recall", "above")
-    if not p.size:
-        return dict.fromkeys(names, float("nan")) | {"n": 0}
-    base = safe.mean()
-    spread = base * (1.0 - base)
-    quality = MapQuality.of(p > 0.5, safe)
-    high = p > 0.95
-    values = (
-        int(p.size), float(base), float(p.mean()), calibration_error(reliability(p, safe)),
-        1.0 - brier_score(p, safe) / spread if spread else float("nan"),
-        quality.precision, quality.recall, float(safe[high].mean()) if high.any() else float("nan"),
-    )  # fmt: skip
-    return dict(zip(names, values, strict=True))
+    table = np.sum([c["table"] for c in counts], axis=0)
+    total = {name: sum(c[name] for c in counts) for name in counts[0] if name in _SUMS}
+    n, p_sum, safe = (float(v) for v in table.sum(axis=0))
+    base = _ratio(safe, n)
+    return {
+        "n": int(n), "share": base, "mean_p": _ratio(p_sum, n), "ece": calibration_error(table),
+        "skill": 1.0 - _ratio(_ratio(total["square_error"], n), base * (1.0 - base)),
+        "precision": _ratio(total["called_safe"], total["called"]),
+        "recall": _ratio(total["called_safe"], safe),
+        "above": _ratio(total["high_safe"], total["high"]),
+    }  # fmt: skip
 
 
-def metrics_by_slope(comparison: SafetyComparison, method: str) -> list[dict[str, float]]:
-    """Return the quality metrics of p_safe of one method for each slope class."""
-    return [
-        safety_metrics(
-            comparison.p[method][comparison.stratum == k], comparison.safe[comparison.stratum == k]
-        )
-        for k in range(len(STRATA))
-    ]
+def _ratio(part: float, total: float) -> float:
+    """Return a ratio; NaN if the total is zero."""
+    return part / total if total else float("nan")
+
+
+def height_metrics(statistics: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Pool several values of `HeightErrors.statistics`, weighted by the number of returns."""
+    full = [s for s in statistics if s["n"]]
+    total = sum(s["n"] for s in full)
+    mean = {
+        name: sum(s["n"] * s[name] ** power for s in full) / total if total else float("nan")
+        for name, power in (("bias", 1), ("rmse", 2), ("nees", 1), ("beyond2", 1), ("beyond3", 1))
+    }
+    return {"n": total, **mean, "rmse": float(np.sqrt(mean["rmse"]))}

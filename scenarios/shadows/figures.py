@@ -115,10 +115,10 @@ def _extent_about_center(view: dict[str, Any]) -> tuple[float, float, float, flo
 def draw_contours(
     first_flights: dict[str, dict[str, Any]], path: Path, half_side: float = 20.0
 ) -> None:
-    """Plot the last maps and true rocks around the site (shadow EKF paper, Figure 6).
+    """Plot the maps at 50 m and the true rocks around the site (shadow EKF paper, Figure 6).
 
-    `first_flights` holds the first flight by name of the path; `half_side` is half the side of the
-    view, m.
+    `first_flights` holds the first flight on each descent, "nominal" and "modified"; `path` is the
+    image file; `half_side` is half the side of the view, m.
     """
     figure = new_figure(9.6, 4.9)
     figure.suptitle("Hazard probability around the site, first field")

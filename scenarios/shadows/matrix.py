@@ -3,18 +3,14 @@
 Every cell (test case) is flown over a few rock fields on the modified path. The map at 50 m is
 evaluated per map cell, and by whether a hazard lies under a vehicle that lands at the safest site
 of the map. The flights themselves land at the end of the path, which arrives with an acceleration,
-5 to 20 m from any given site. Flights are saved one by one, so an interrupted study resumes from
-the file.
+5 to 20 m from any given site.
 
-python scenarios/shadows/matrix.py --jobs 2 --json out/matrix.json
+python scenarios/shadows/matrix.py --jobs 2 --out out/matrix
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from fnmatch import fnmatch
 from functools import reduce
-from pathlib import Path
 from typing import Any
 
 import click
@@ -22,16 +18,13 @@ import numpy as np
 from cells import CELLS, ShadowCell
 from nominal_vs_modified import METHODS
 from numpy.typing import NDArray
-from rich.console import Console
 from rich.table import Table
 
-from lunarsim import InputError, Simulation, flight_seed
-from lunarsim.campaign.flight_store import FlightStore
-from lunarsim.campaign.pool import iterate_results
-from lunarsim.console import plain_console, plain_progress
+from lunarsim import Simulation, flight_seed
 from lunarsim.evaluation.classification import RELIABILITY_EDGES, Classification, classify
 from lunarsim.evaluation.reliability import calibration_error, reliability
 from lunarsim.simulation.loop import make_policy
+from lunarsim.studies import Case, Report, Study, run_script
 
 ALTITUDE = 50.0
 CLEAR_BELOW = 0.0025
@@ -40,48 +33,25 @@ CLEAR_BELOW = 0.0025
 MAX_FALSE_CLEAR, MAX_MISSED_HAZARDS, MIN_RECALL = 0.0025, 0.02, 0.6
 
 
-@dataclass(frozen=True)
-class ShadowMatrixTask:
-    """Settings of one simulated flight of the shadow map study.
-
-    `cell` is the test case, `field` the number of the rock field and `seed` the root seed; `path`
-    is "nominal" or "modified", `method` a name in `METHODS`.
-    """
-
-    cell: ShadowCell
-    field: int
-    seed: int
-    path: str = "modified"
-    method: str = "inferred"
-
-    @property
-    def key(self) -> str:
-        """Key of the flight in the result file."""
-        return f"{self.cell.name} / {self.field}"
+CELL_OF = {cell.name: cell for cell in CELLS}
 
 
-def fly(task: ShadowMatrixTask) -> dict[str, Any]:
-    """Simulate one flight; return map quality at 50 m and touchdown hazard for JSON."""
-    scenario = task.cell.scenario(task.path).changed(mappers={"rocks": METHODS[task.method]})
-    simulation = Simulation(scenario, flight_seed(task.seed, task.field))
+def fly(case: Case) -> dict[str, Any]:
+    """Simulate one flight; return map quality at 50 m and touchdown hazard."""
+    scenario = CELL_OF[case["cell"]].scenario(case["path"])
+    scenario = scenario.changed(mappers={"rocks": METHODS[case["method"]]})
+    simulation = Simulation(scenario, flight_seed(case.seed, case.number))
     while not simulation.done and simulation.altitude > ALTITUDE:
         simulation.step()
-    out = {
-        "cell": asdict(task.cell),
-        **evaluate_map(simulation),
-        **evaluate_safest_site(simulation),
-    }
+    found = {**evaluate_map(simulation), **evaluate_safest_site(simulation)}
     simulation.computer.stop_sensors()
     while not simulation.done:
         simulation.step()
-    outcome = simulation.outcome
-    out["landed"] = outcome is not None and outcome.touchdown is not None
-    out["on_hazard"] = False
-    if outcome is not None and outcome.touchdown is not None:
-        out["on_hazard"] = bool(
-            has_hazard_in_footprint(simulation, outcome.touchdown.position[None, :2]).any()
-        )
-    return out
+    touchdown = simulation.outcome.touchdown
+    on_hazard = touchdown is not None and bool(
+        has_hazard_in_footprint(simulation, touchdown.position[None, :2]).any()
+    )
+    return {**found, "landed": touchdown is not None, "on_hazard": on_hazard}
 
 
 def evaluate_safest_site(simulation: Simulation) -> dict[str, Any]:
@@ -126,7 +96,9 @@ def evaluate_map(simulation: Simulation) -> dict[str, Any]:
     """Compare the current shadow map with the true rocks, in the onboard frame.
 
     A map cell is classified as clear if it is observed and its hazard probability is below the
-    threshold. Returns, for JSON, counts of the cells by class and of the calibration.
+    threshold. Hazards are rocks of the minimum hazard diameter or more. Returns, for JSON, counts
+    of cells by class and of the calibration, numbers of hazards and of those classified as clear in
+    all cells, and landings at blind sites.
     """
     mapper = simulation.computer.mappers["rocks"]
     p = mapper.probability.probability(mapper.tracker)
@@ -152,18 +124,6 @@ def evaluate_map(simulation: Simulation) -> dict[str, Any]:
         ),
         "lost": bool(simulation.estimate.lost),
     }
-
-
-# --- the file --------------------------------------------------------------------------------
-
-
-def has_flight(results: FlightStore, task: ShadowMatrixTask) -> bool:
-    """Return whether the results contain this flight with the same test case."""
-    done = results.flights.get(task.key)
-    return done is not None and done.get("cell") == asdict(task.cell)
-
-
-# --- the table -------------------------------------------------------------------------------
 
 
 def pooled_metrics(flights: list[dict[str, Any]]) -> dict[str, float]:
@@ -203,124 +163,66 @@ def missed_requirements(cell: ShadowCell, metrics: dict[str, float]) -> str:
     return ", ".join(misses)
 
 
-def show(tasks: list[ShadowMatrixTask], results: FlightStore, console: Console) -> None:
+def print_cells(report: Report) -> None:
     """Print the map quality of each test case, and totals over all cases."""
-    first = tasks[0]
+    path, method = report.options["path"], report.options["method"]
     table = Table(
-        title=f"Shadow maps at {ALTITUDE:.0f} m: {first.path} path, {first.method} method, seed"
-        f" {first.seed}"
+        title=f"Shadow maps at {ALTITUDE:.0f} m: {path} path, {method} method, seed {report.seed}"
     )
-    headings = ("cell", "recall", "false clear area", "no-map rate", "hazards", "missed hazards",
-    "occupied correct",
-                "unknown", "calibration error", "hazard at safest", "goals missed")  # fmt: skip
-    for heading in headings:
+    for heading in (
+        "cell", "recall", "false clear area", "no-map rate", "hazards", "missed hazards",
+        "occupied correct", "unknown", "calibration error", "hazard at safest", "goals missed",
+    ):  # fmt: skip
         table.add_column(
             heading, justify="left" if heading in {"cell", "goals missed"} else "right"
         )
-    total = dict.fromkeys(("landed", "on_hazard", "chosen", "site_on_hazard"), 0.0)
-    missing = shown = 0
-    blind = []
-    for cell in dict.fromkeys(t.cell for t in tasks):
-        mine = [t for t in tasks if t.cell == cell]
-        flights = [results.flights[t.key] for t in mine if has_flight(results, t)]
-        if not flights:
-            continue
+    missing = 0
+    for (cell,), flights in report.groups("cell").items():
         f = pooled_metrics(flights)
-        lacks = missed_requirements(cell, f)
-        shown, missing = shown + 1, missing + bool(lacks)
-        total = {key: value + f[key] for key, value in total.items()}
-        blind += [f["blind_landing"]] * len(flights)
+        lacks = missed_requirements(CELL_OF[cell], f)
+        missing += bool(lacks)
         table.add_row(
-            cell.name, f"{f['clear_recall']:.3f}", f"{f['clear_false']:.5f}", f"{f['blind']:.4f}",
+            cell, f"{f['clear_recall']:.3f}", f"{f['clear_false']:.5f}", f"{f['blind']:.4f}",
             f"{f['objects']:.0f}", f"{f['objects_clear']:.3f}", f"{f['occupied_correct']:.2f}",
             f"{f['unknown']:.3f}", f"{f['reliability_error']:.4f}",
             f"{f['site_on_hazard']:.0f}/{f['chosen']:.0f}", lacks,
         )  # fmt: skip
-    console.print(table)
-    console.print(
+    report.print(table)
+    report.print(
         "False clear area: fraction of the area classified as clear that is under a hazard; no-map "
-        "rate: the same if"
-        " all cells are classified as clear; missed hazards: fraction of hazards completely "
-        "classified as clear; calibration error: mean"
-        " difference between predicted and observed probability."
+        "rate: the same if all cells are classified as clear; missed hazards: fraction of hazards "
+        "completely classified as clear; calibration error: mean difference between predicted and "
+        "observed probability."
     )
-    if blind:
-        console.print(
-            f"{total['site_on_hazard']:.0f} of {total['chosen']:.0f} safest reachable sites of"
-            " the maps have a hazard under the lander"
-            f"; random sites have one in {100.0 * float(np.mean(blind)):.1f} %. At the end of"
-            f" the path, {total['on_hazard']:.0f} of {total['landed']:.0f} touchdowns have one."
-        )
-    console.print(f"{missing} of {shown} cells miss a goal.")
+    total = pooled_metrics(report.rows)
+    report.print(
+        f"{total['site_on_hazard']:.0f} of {total['chosen']:.0f} safest reachable sites of the maps"
+        f" have a hazard under the lander; random sites have one in "
+        f"{100.0 * total['blind_landing']:.1f} %. At the end of the path, {total['on_hazard']:.0f} "
+        f"of {total['landed']:.0f} touchdowns have one."
+    )
+    report.print(f"{missing} of {len(report.groups('cell'))} cells miss a goal.")
 
 
-@click.command()
-@click.option("--cells", "cell_patterns", default="*", show_default=True,
-              help="Names of the test cases to fly, separated by commas; * and ? match any text "
-              "and any character.")  # fmt: skip
-@click.option("--fields", type=click.IntRange(min=1), default=4, show_default=True,
-              help="Number of rock fields for each test case.")  # fmt: skip
-@click.option(
-    "--seed",
-    type=int,
-    default=1,
-    show_default=True,
-    help="Seed from which all random numbers derive.",
-)
-@click.option("--path", type=click.Choice(("nominal", "modified")), default="modified",
-              show_default=True,
-              help="Descent path of the shadow EKF paper: nominal or modified.")  # fmt: skip
-@click.option("--method", type=click.Choice(tuple(METHODS)), default="inferred", show_default=True,
-              help="Rock shapes of the mapper; inferred: from the shadows; expected: those "
-              "that the mission expects; paper: hemispheres.")  # fmt: skip
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of parallel processes; it does not change the results.")  # fmt: skip
-@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="JSON file for the flights; if it exists, its flights are not repeated. "
-              "Default: none.")  # fmt: skip
-def main(
-    cell_patterns: str,
-    fields: int,
-    seed: int,
-    path: str,
-    method: str,
-    jobs: int,
-    json_file: Path | None,
-) -> None:
-    """Fly the test cases and print the quality of their shadow maps."""
-    console = plain_console(150)
-    wanted = [p.strip() for p in cell_patterns.split(",")]
-    cells = [c for c in CELLS if any(fnmatch(c.name, p) for p in wanted)]
-    if not cells:
-        raise click.BadParameter(
-            f"must match one of {', '.join(c.name for c in CELLS)}, got {cell_patterns!r}",
-            param_hint="--cells",
-        )
-    try:
-        results = FlightStore(
-            json_file, {"seed": seed, "path": path, "method": method, "of": "map and site"}
-        )
-    except InputError as error:
-        raise click.BadParameter(str(error), param_hint="--json") from None
-    if results.outdated_count:
-        console.print(
-            f"{results.outdated_count} flights of {json_file} were computed with different code"
-        )
-    # Field by field: after an interruption every cell has some flights.
-    everything = [
-        ShadowMatrixTask(cell, k, seed, path, method) for k in range(fields) for cell in cells
-    ]
-    tasks = [t for t in everything if not has_flight(results, t)]
-    with plain_progress(console) as progress:
-        bar = progress.add_task("flights", total=len(tasks))
-        try:
-            for index, result in iterate_results(fly, tasks, jobs):
-                results.keep(tasks[index].key, result)
-                progress.advance(bar)
-        except KeyboardInterrupt:
-            console.print("Interrupted. The finished flights are saved.")
-    show(everything, results, console)
-
+study = Study(
+    fly,
+    repeats="fields",
+    count=4,
+    factors={"cell": list(CELL_OF)},
+    factor_help={"cell": "Name of a test case to fly."},
+    options=(
+        click.Option(
+            ["--path"], type=click.Choice(("nominal", "modified")), default="modified",
+            show_default=True, help="Descent path of the shadow EKF paper: nominal or modified.",
+        ),
+        click.Option(
+            ["--method"], type=click.Choice(tuple(METHODS)), default="inferred", show_default=True,
+            help="Rock shapes of the mapper; inferred: from the shadows; expected: those "
+            "that the mission expects; paper: hemispheres.",
+        ),
+    ),
+    report=print_cells,
+)  # fmt: skip
 
 if __name__ == "__main__":
-    main()
+    run_script(study)

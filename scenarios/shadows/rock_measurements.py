@@ -275,7 +275,10 @@ def report_errors(report: Report) -> None:
 
 
 def _joined(report: Report, name: str, shape: tuple[int, ...]) -> Array:
-    """Return the samples of one column of all fields, each of a shape."""
+    """Return the samples (n, *shape) of column `name`, joined over all fields.
+
+    `shape` is the shape of one sample.
+    """
     samples = [np.array(row[name], dtype=np.float64).reshape(-1, *shape) for row in report.rows]
     return np.concatenate(samples)
 

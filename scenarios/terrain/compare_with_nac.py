@@ -1,16 +1,15 @@
 """Compare rendered images with a real LROC narrow-angle camera image of boulders.
 
-    python scenarios/terrain/compare_with_nac.py --out out/nac --json out/nac.json
-
 Terrains of the shipped scenarios are rendered with the pixels, point spread and Sun of the real
 image: once with the plain light (point Sun, lunar-Lambert) and once with all effects of `[sun]`. No
 parameter is fitted to the image except the mean albedo, by which both images are divided. The
 comparison covers histogram, power spectrum, autocorrelation and shadow lengths.
+
+python scenarios/terrain/compare_with_nac.py --out out/nac
 """
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,14 +18,21 @@ import click
 import numpy as np
 from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 from scipy import ndimage
 
 from lunarsim import RandomStreams, Scenario, build_world, flight_seed
 from lunarsim.api import State
-from lunarsim.console import plain_console
 from lunarsim.sensors.camera import Camera
+from lunarsim.studies import (
+    Case,
+    Metric,
+    Report,
+    Study,
+    metric_table,
+    pack_array,
+    run_script,
+    unpack_array,
+)
 from lunarsim.viz.style import COLOURS, new_figure, save
 from lunarsim.world import World
 from lunarsim.world.light import FULL_EARTH_IRRADIANCE_RATIO, SUN_DIAMETER_RAD, Light
@@ -41,7 +47,6 @@ ALTITUDE = 3000.0
 SHADOWS = np.array([0.82 * SAMPLE, 0.57 * LINE])
 ELEVATION = np.radians(36.56)
 AZIMUTH = float(np.arctan2(-SHADOWS[0], -SHADOWS[1]))
-GROUNDS = ("highland", "mare")
 # High-pass scale, pixels, 1 sigma: larger structures belong to the region, not the terrain, and are
 # divided out of the real and the rendered images.
 REGION = 40.0
@@ -156,8 +161,11 @@ def shadow_lengths(normalised: Array) -> Array:
     return np.array(lengths)
 
 
-def image_metrics(image: Array) -> dict[str, Any]:
-    """Return histogram, spectrum, correlation and shadow metrics of an image."""
+def image_metrics(image: Array, real: Array) -> dict[str, Any]:
+    """Return histogram, spectrum, correlation and shadow metrics of an image.
+
+    The histogram distance is that from the `real` image.
+    """
     flat = divide_by_local_mean(image)
     k, power = spectrum(flat)
     distance, auto = correlation(flat)
@@ -168,6 +176,7 @@ def image_metrics(image: Array) -> dict[str, Any]:
     return {
         "mean": float(image.mean()), "spread": float(flat.std()),
         "skewness": float(np.mean((flat - flat.mean()) ** 3) / flat.std() ** 3),
+        "histogram_distance": histogram_distance(flat, divide_by_local_mean(real)),
         "percentiles": np.percentile(flat, [1, 5, 25, 75, 95, 99]).round(4).tolist(),
         "slope": float(slope), "half_along_m": half[0], "half_across_m": half[1],
         "shadow_share": float(np.mean(flat < DARK)),
@@ -175,20 +184,15 @@ def image_metrics(image: Array) -> dict[str, Any]:
         "length_median_m": float(np.median(lengths)) if lengths.size else 0.0,
         "length_90_m": float(np.percentile(lengths, 90)) if lengths.size else 0.0,
         "wave_numbers": k.tolist(), "power": power.tolist(),
-        "histogram_distance": 0.0,
     }  # fmt: skip
 
 
 def histogram_distance(first: Array, second: Array) -> float:
-    """Return the mean difference of the sorted pixel values of two normalised images."""
-    return float(
-        np.mean(
-            np.abs(
-                np.sort(divide_by_local_mean(first).ravel())
-                - np.sort(divide_by_local_mean(second).ravel())
-            )
-        )
-    )
+    """Return the mean absolute difference of the sorted pixel values of two images.
+
+    Each image is divided by its local mean.
+    """
+    return float(np.mean(np.abs(np.sort(first.ravel()) - np.sort(second.ravel()))))
 
 
 def smooth_area_statistics(image: Array) -> tuple[float, float]:
@@ -208,60 +212,57 @@ def smooth_area_statistics(image: Array) -> tuple[float, float]:
     return float(part.std()), float(np.mean(lengths))
 
 
-ROWS = (
-    ("mean", "mean I/F", ".3f"), ("spread", "spread / local mean", ".3f"),
-    ("skewness", "skewness", "+.2f"), ("histogram_distance", "histogram distance", ".3f"),
-    ("slope", "spectral slope", "+.2f"),
-    ("half_along_m", "correlation 0.5 along (m)", ".1f"),
-    ("half_across_m", "correlation 0.5 across (m)", ".1f"),
-    ("shadow_share", "shadow fraction", ".4f"), ("shadows_ha", "shadows per hectare", ".0f"),
-    ("length_median_m", "shadow length, median (m)", ".2f"), ("length_90_m",
-    "shadow length, 90th pct. (m)", ".2f"),
-)  # fmt: skip
+def compare(case: Case) -> list[dict[str, Any]]:
+    """Render terrains with a point Sun and with all light effects; compute metrics.
 
-
-def show(metrics: dict[str, dict[str, Any]], console: Console) -> None:
-    """Print a table of the metrics of all images.
-
-    `metrics` holds the values of `image_metrics` by name of the image.
+    One row per image; the real image is the first. `pixels` holds the image as compressed text.
     """
-    table = Table(title="Rendered images compared with M143947267L")
-    table.add_column("")
-    for name in metrics:
-        table.add_column(name, justify="right")
-    for key, title, form in ROWS:
-        table.add_row(title, *(format(one[key], form) for one in metrics.values()))
-    console.print(table)
+    with np.load(REAL) as data:
+        images = {"real": data["iof"].astype(np.float64)}
+    for name in case["terrain"]:
+        for light in ("plain", "full"):
+            images[f"{name}, {light}"] = render(name, light == "full", case.seed + case.number)
+    return [
+        {"image": name, **image_metrics(image, images["real"]), "pixels": pack_array(image)}
+        for name, image in images.items()
+    ]
 
 
-def draw(images: dict[str, Array], metrics: dict[str, dict[str, Any]], path: Path) -> None:
-    """Plot the images with their histograms, power spectra and autocorrelations.
+def print_metrics(report: Report) -> None:
+    """Print the metrics of all images; plot those of the first seed."""
+    by_image = replace(report, factors=("image",))
+    report.print(metric_table(by_image, "Rendered images compared with M143947267L"))
+    spread, length = smooth_area_statistics(unpack_array(report.rows[0]["pixels"]))
+    report.print(
+        f"Smooth terrain of the real image: spread {spread:.3f}, correlation 1/e at {length:.1f} m"
+    )
+    if report.out is not None:
+        draw([row for row in report.rows if row["number"] == 0], report.out / "beside_nac.png")
 
-    `metrics` holds the values of `image_metrics` by name of the image; `path` is the output file.
-    """
-    count = len(images)
-    figure = new_figure(3.1 * count, 6.6)
-    axes = figure.subplots(2, max(count, 3), gridspec_kw={"height_ratios": [1.15, 1.0]})
+
+def draw(rows: list[dict[str, Any]], path: Path) -> None:
+    """Plot the images with their histograms, power spectra and autocorrelations."""
+    figure = new_figure(3.1 * len(rows), 6.6)
+    axes = figure.subplots(2, max(len(rows), 3), gridspec_kw={"height_ratios": [1.15, 1.0]})
     for ax in axes.ravel():
         ax.axis("off")
-    for ax, (name, image) in zip(axes[0], images.items(), strict=False):
-        ax.imshow(
-            divide_by_local_mean(image), cmap="gray", vmin=0.2, vmax=1.6, interpolation="nearest"
-        )
-        ax.set_title(name)
     histogram, power, auto = axes[1, :3]
     for ax in (histogram, power, auto):
         ax.axis("on")
-    for n, (name, image) in enumerate(images.items()):
-        colour, width = ("black", 2.0) if n == 0 else (COLOURS[n % len(COLOURS)], 1.0)
-        histogram.hist(divide_by_local_mean(image).ravel(), np.linspace(0.0, 2.0, 80),
-        histtype="step",
-                       color=colour, linewidth=width, density=True, label=name)  # fmt: skip
-        power.loglog(metrics[name]["wave_numbers"], metrics[name]["power"], color=colour,
-                     linewidth=width)  # fmt: skip
-        distance, both = correlation(divide_by_local_mean(image))
-        auto.plot(distance, both[0], color=colour, linewidth=width)
-        auto.plot(distance, both[1], "--", color=colour, linewidth=width)
+    for n, row in enumerate(rows):
+        flat = divide_by_local_mean(unpack_array(row["pixels"]))
+        axes[0, n].imshow(flat, cmap="gray", vmin=0.2, vmax=1.6, interpolation="nearest")
+        axes[0, n].set_title(row["image"])
+        colour = "black" if n == 0 else COLOURS[n % len(COLOURS)]
+        line: dict[str, Any] = {"color": colour, "linewidth": 2.0 if n == 0 else 1.0}
+        bins = np.linspace(0.0, 2.0, 80)
+        histogram.hist(
+            flat.ravel(), bins, histtype="step", density=True, label=row["image"], **line
+        )
+        power.loglog(row["wave_numbers"], row["power"], **line)
+        distance, both = correlation(flat)
+        auto.plot(distance, both[0], **line)
+        auto.plot(distance, both[1], "--", **line)
     histogram.set_yscale("log")
     histogram.set_xlabel("I/F / local mean")
     histogram.legend(fontsize=7)
@@ -273,48 +274,28 @@ def draw(images: dict[str, Array], metrics: dict[str, dict[str, Any]], path: Pat
     save(figure, path)
 
 
-def compare(scenarios: tuple[str, ...], seed: int) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Render terrains with a point Sun and with all light effects; compute metrics.
+METRICS = (
+    ("mean", "mean\nI/F", 3), ("spread", "spread /\nlocal mean", 3), ("skewness", "skewness", 2),
+    ("histogram_distance", "histogram\ndistance", 3), ("slope", "spectral\nslope", 2),
+    ("half_along_m", "correlation 0.5\nalong (m)", 1),
+    ("half_across_m", "correlation 0.5\nacross (m)", 1), ("shadow_share", "shadow\nfraction", 4),
+    ("shadows_ha", "shadows\nper hectare", 0), ("length_median_m", "shadow length,\nmedian (m)", 2),
+    ("length_90_m", "shadow length,\n90th pct. (m)", 2),
+)  # fmt: skip
 
-    `scenarios` are scenario names. Returns images and metrics by name; the real image is first.
-    """
-    with np.load(REAL) as data:
-        images = {"real": data["iof"].astype(np.float64)}
-    for name in scenarios:
-        for full in (False, True):
-            images[f"{name}, {'full' if full else 'plain'}"] = render(name, full, seed)
-    found = {name: image_metrics(image) for name, image in images.items()}
-    for name, image in images.items():
-        found[name]["histogram_distance"] = histogram_distance(image, images["real"])
-    return images, found
-
-
-@click.command()
-@click.option("--terrain", "scenarios", multiple=True, default=GROUNDS, show_default=True,
-              help="Scenario whose terrain is rendered; repeat the option for several "
-              "scenarios.")  # fmt: skip
-@click.option(
-    "--seed", default=1, show_default=True, help="Random seed of rocks, albedo and image noise."
-)
-@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="JSON file for all metrics. Default: none.")  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for the figure. Default: no figure.")  # fmt: skip
-def main(scenarios: tuple[str, ...], seed: int, json_file: Path | None, out: Path | None) -> None:
-    """Compare rendered terrain images with a real LROC narrow-angle camera image."""
-    images, found = compare(scenarios, seed)
-    console = plain_console(150)
-    show(found, console)
-    spread, length = smooth_area_statistics(images["real"])
-    console.print(
-        f"Smooth terrain of the real image: spread {spread:.3f}, correlation 1/e at {length:.1f} m"
-    )
-    if json_file is not None:
-        json_file.parent.mkdir(parents=True, exist_ok=True)
-        json_file.write_text(json.dumps(found, indent=1), encoding="utf-8")
-    if out is not None:
-        draw(images, found, out / "beside_nac.png")
-
+study = Study(
+    compare,
+    repeats="seeds",
+    count=1,
+    options=(
+        click.Option(
+            ["--terrain"], multiple=True, default=("highland", "mare"), show_default=True,
+            help="Scenario whose terrain is rendered; repeat the option for several scenarios.",
+        ),
+    ),
+    metrics={name: Metric(label, "median", digits) for name, label, digits in METRICS},
+    report=print_metrics,
+)  # fmt: skip
 
 if __name__ == "__main__":
-    main()
+    run_script(study)

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim.simulation import Simulation
+from lunarsim.frames import quat_conjugate, quat_rotate
+from lunarsim.parts import allow_modules
+from lunarsim.simulation import Flight, Simulation
 
 OWN = "own_sensor:LaserAltimeter"
 
@@ -38,3 +43,47 @@ def test_a_sensor_that_nobody_takes_is_named(small):
         InputError, match=r"sensors\.laser.*sensors of kind .own_sensor:LaserAltimeter"
     ):
         small.changed(sensors=sensors)
+
+
+@dataclass(frozen=True)
+class SunReading:
+    """Direction of the Sun in body axes (3,), with a time (s); no sigma if unknown."""
+
+    time: float
+    direction: np.ndarray
+    sigma: float | None = None
+
+
+@dataclass(frozen=True)
+class SunSensor:
+    """Sun sensor of another package that measures twice a second and is only recorded."""
+
+    measurement_type = SunReading
+    is_tasked = False
+    is_recorded = True
+    needs_sunlight = True
+
+    def calibration(self):
+        """Return nothing: the onboard computer does not use it."""
+
+    def measure(self, world, state, time, rng, mount=None):
+        """Return a reading every half second."""
+        if round(10.0 * time) % 5:
+            return None
+        return SunReading(time, quat_rotate(quat_conjugate(state.attitude), world.light.direction))
+
+
+def test_readings_of_a_sensor_without_a_user_are_recorded(small, tmp_path):
+    allow_modules(__name__)
+    sensors = small.to_dict()["sensors"] | {"sun": {"kind": f"{__name__}:SunSensor"}}
+    simulation = Simulation(small.changed(sensors=sensors), 5, "no-divert")
+    flight = simulation.run()
+    readings = Flight.load(flight.save(tmp_path / "flight")).readings["sun"]
+    assert list(readings) == ["time", "direction_0", "direction_1", "direction_2"]
+    assert readings["time"] == pytest.approx(np.arange(0.0, flight.duration, 0.5), abs=1e-6)
+    length = np.linalg.norm([readings[f"direction_{k}"] for k in range(3)], axis=0)
+    assert length == pytest.approx(1.0)
+    # Another flight in the same folder leaves no readings of this one.
+    plain = Simulation(small, 5, "no-divert").run()
+    assert Flight.load(plain.save(tmp_path / "flight")).readings == {}
+    assert not list((tmp_path / "flight").glob("readings.*"))

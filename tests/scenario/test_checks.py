@@ -113,7 +113,7 @@ WRONG = {
     "control on gyroscopes without any": (
         {"sensors": {"fix": FIX, "flash": FLASH}},
         "control.kind", "pd",
-        "use control of kind 'ideal'",
+        "use control.kind = 'ideal'",
     ),
     "control too fast for its clock": (
         {"control": {"frequency_rad_s": 26.0}},
@@ -186,7 +186,7 @@ WRONG = {
     ),
     "a fused map of nothing": (
         {"mappers": {"all": {"kind": "fused"}}},
-        "mappers.all.inputs", (), "needs another mapper in the scenario",
+        "mappers.all.inputs", (), "needs other mappers whose maps",
     ),
 }  # fmt: skip
 

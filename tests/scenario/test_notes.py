@@ -51,7 +51,7 @@ def test_the_default_study_has_nothing_odd():
                 "sensors": {name: {"kind": kind} for name, kind in FIXED.items()},
             },
             "sun.elevation_deg = 5",
-            "no camera or star tracker",
+            "no sensor depends on sunlight",
         ),
         (
             {"terrain": {"kind": "hazard-field"}, "rocks": {"cover": 0.1}},

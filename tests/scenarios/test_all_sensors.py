@@ -17,6 +17,7 @@ from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.rocks.field import RockField
+from lunarsim.studies import report_study, run_study
 from lunarsim.world.terrain import Terrain
 from tests.made_mapper import TERMS, Slow
 from tests.worlds import flat_terrain
@@ -42,7 +43,7 @@ def figures(study):
 
 @pytest.fixture
 def flights(study):
-    return study.sensor_fusion_flights
+    return importlib.import_module("sensor_fusion_flights")
 
 
 def judged(flights, p, safe, large=None, objects=()):
@@ -167,49 +168,21 @@ def test_every_row_is_a_valid_scenario(flights):
         assert row.remaining_map in ("", *flights.MAPS)
 
 
-@pytest.mark.parametrize(
-    ("option", "value", "told"),
-    [("--rows", "the Moon", "must be one of"), ("--altitudes", "10", "must be numbers from 50")],
-)
-def test_invalid_options_are_named(study, option, value, told):
-    result = CliRunner().invoke(study.main, [option, value])
-    assert result.exit_code == 2
-    assert told in result.output
-
-
-def test_interrupted_study_resumes(study, flights, tmp_path, monkeypatch):
-    """Stored flights are not repeated, and the file has one seed and code."""
+def test_study_compares_maps(study, flights, tmp_path, monkeypatch, capsys):
     truth = [True] * 5 + [False] * 5
     counts = judged(flights, [0.9] * 5 + [0.1] * 5, truth, objects=(7.0,))
-    flown = []
 
-    def fly(task):
-        if len(flown) == 3:
-            raise KeyboardInterrupt
-        flown.append(task.key)
-        maps = {f"{a:g}": dict.fromkeys(flights.MAPS, counts) for a in task.altitudes}
-        return flight(task.row, "", flights) | {"field": task.field, "maps": maps}
+    def fly(row, altitudes, seed):
+        maps = {f"{a:g}": dict.fromkeys(flights.MAPS, counts) for a in altitudes}
+        return {"maps": maps, "ms": dict.fromkeys(flights.MAPS, 1.0), "refused": {}}
 
     monkeypatch.setattr(study, "fly", fly)
-    file = tmp_path / "all.json"
-    options = ["--fields", "2", "--rows", "level, rocks;15 % cover", "--json", str(file)]
-    assert CliRunner().invoke(study.main, options).exit_code != 0
-    assert len(json.loads(file.read_text())["flights"]) == 3
-    first = list(flown)
-    flown.clear()
-    result = CliRunner().invoke(study.main, [*options, "--out", str(tmp_path)])
-    assert result.exit_code == 0, result.output
-    assert len(flown) == 1 and not set(flown) & set(first)
+    rows = run_study(study.study, count=2, levels={"row": ["level, rocks", "15 % cover"]})
+    report_study(study.study, rows, out=tmp_path)
+    printed = capsys.readouterr().out
     for words in (*flights.MAPS.values(), "objects", "Mean over rows", "15 % cover"):
-        assert words in result.output
+        assert words in printed
     assert (tmp_path / "all_sensors.png").stat().st_size > 10_000
-    other = CliRunner().invoke(study.main, [*options, "--seed", "7"])
-    assert other.exit_code == 2
-    assert "flights with another seed" in " ".join(other.output.split())
-    file.write_text("[]")
-    broken = CliRunner().invoke(study.main, options)
-    assert broken.exit_code == 2
-    assert "is not a file of flights" in " ".join(broken.output.split())
 
 
 def test_joint_site_counts_of_two_maps(flights):
@@ -235,12 +208,9 @@ def test_calibration_stage_is_fitted_to_flights(study, script, flights, tmp_path
     chance = 1 / (1 + np.exp(-(0.9 * x + 0.4 * y)))
     shape = 2, len(fit.ODDS) - 1, len(fit.ODDS)
     counts = np.rint(200_000 * np.stack((1 - chance, chance))).reshape(shape)
-    made = {
-        row: {"row": row, "maps": {"100": {"fused": {"joint": counts.tolist()}}}}
-        for row in ("a", "b")
-    }
+    made = [{"row": row, "maps": {"100": {"fused": {"joint": counts.tolist()}}}} for row in "ab"]
     file = tmp_path / "fit.json"
-    file.write_text(json.dumps({"settings": {}, "flights": made}))
+    file.write_text(json.dumps({"rows": made}))
     result = CliRunner().invoke(fit.main, [str(file), "--out", str(tmp_path / "c.json")])
     assert result.exit_code == 0, result.output
     told = json.loads((tmp_path / "c.json").read_text())
@@ -250,18 +220,17 @@ def test_calibration_stage_is_fitted_to_flights(study, script, flights, tmp_path
         fit.FusedCalibration(), fit.fit_calibration(counts, False, fit.Lander()),
         fit.FusedCalibration(*weights)))  # fmt: skip
     assert both < none
-    file.write_text(json.dumps({"settings": {}, "flights": {"a": made["a"]}}))
+    file.write_text(json.dumps({"rows": made[:1]}))
     alone = CliRunner().invoke(fit.main, [str(file)])
     assert alone.exit_code == 2 and "two or more study conditions" in alone.output
 
 
 @pytest.mark.slow
-def test_flight_is_evaluated(study, tmp_path):
-    file = tmp_path / "all.json"
-    options = ["--fields", "1", "--rows", "cameras dead from 400 m on", "--altitudes", "120"]
-    result = CliRunner().invoke(study.main, [*options, "--json", str(file)])
-    assert result.exit_code == 0, result.output
-    (kept,) = json.loads(file.read_text())["flights"].values()
+def test_flight_is_evaluated(study):
+    (kept,) = run_study(
+        study.study, count=1, levels={"row": ["cameras dead from 400 m on"]},
+        options={"altitude": (120.0,)},
+    )  # fmt: skip
     maps = kept["maps"]["120"]
     # Above 400 m no image was mapped, so only the LiDAR map remains.
     assert maps["fused"] == maps["dem"]
@@ -288,12 +257,12 @@ def test_rock_position_errors_exclude_shared_errors(script):
         computer=SimpleNamespace(mappers={"rocks": mapper}),
         world=SimpleNamespace(terrain=terrain), navigation_error=np.array([5.0, -7.0, 0.0]),
     )  # fmt: skip
-    off, claim, nees, count = places.position_errors(simulation)
-    assert count == 24
-    assert off == pytest.approx(np.sqrt(0.05))
+    found = places.position_errors(simulation)
+    assert found["rocks"] == 24
+    assert found["error_m"] == pytest.approx(np.sqrt(0.05))
     # Rocks that are known a priori share no error with the lander.
     variance = 0.2**2 / 24 + 2.0**2
-    assert claim == pytest.approx(np.sqrt(variance))
-    assert nees == pytest.approx(0.1 / variance)
+    assert found["sigma_m"] == pytest.approx(np.sqrt(variance))
+    assert found["nees"] == pytest.approx(0.1 / variance)
     existence[4:] = 0.0
-    assert places.position_errors(simulation) is None
+    assert np.isnan(list(places.position_errors(simulation).values())).all()

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import re
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -15,46 +12,41 @@ from scipy import ndimage
 from lunarsim.grid import Grid
 from lunarsim.studies import report_study, run_study
 from lunarsim.studies.command import study_command
-from tests.conftest import SCENARIOS
-
-SCRIPT = SCENARIOS / "gaussian_dem" / "tables.py"
 
 
-def run(*arguments: str) -> str:
-    done = subprocess.run(
-        [sys.executable, str(SCRIPT), *arguments], capture_output=True, text=True, check=True
-    )
-    return done.stdout
-
-
-def test_configurations_are_those_of_table_4(tmp_path):
-    out = tmp_path / "table.json"
-    run("--table", "4", "--json", str(out))
-    rows = json.loads(out.read_text())["4"]["rows"]
-    assert rows[3][0] == pytest.approx(100.0, abs=1.1)
-    assert rows[8][2] == pytest.approx(1.611, abs=0.02)
+def test_configurations_are_those_of_table_4(script, capsys):
+    study = script("gaussian_dem", "tables").study
+    rows = run_study(study, count=2, levels={"table": ["4"]})
+    assert len(rows) == 9
+    assert rows[3]["values"][0] == pytest.approx(100.0, abs=1.1)
+    assert rows[8]["values"][2] == pytest.approx(1.611, abs=0.02)
+    report_study(study, rows)
+    assert "scan configurations (ours / paper)" in capsys.readouterr().out
 
 
 @pytest.mark.slow
-def test_table_3_has_no_false_safe_cell(tmp_path):
-    out = tmp_path / "table.json"
-    run("--table", "3", "--json", str(out), "--out", str(tmp_path))
-    rows = json.loads(out.read_text())["3"]["rows"]
+def test_table_3_has_no_false_safe_cell(script, tmp_path):
+    study, options = script("gaussian_dem", "tables").study, {"figures": True}
+    rows = run_study(study, levels={"table": ["3"]}, options=options)
     assert all(row["false_safe"] == 0 for row in rows)
-    recall = [row["recall"][0] for row in rows]
+    recall = [row["recall"] for row in rows]
     assert recall == sorted(recall, reverse=True)
-    assert min(row["bounded"][0] for row in rows if row["c"] <= 0.5) > 0.8
+    assert min(row["bounded"] for row in rows if row["c"] <= 0.5) > 0.8
+    report_study(study, rows, options=options, out=tmp_path)
     assert (tmp_path / "figure_12_conservativeness.png").exists()
 
 
 @pytest.mark.slow
-def test_table_5_beats_the_paper_everywhere(tmp_path):
+def test_table_5_beats_the_paper_everywhere(script, capsys):
     """It is also better than the baseline at the best phase of its grid."""
-    assert len(re.findall(r"yes │ +yes │", run("--table", "5"))) == 9
+    study = script("gaussian_dem", "tables").study
+    report_study(study, run_study(study, levels={"table": ["5"]}))
+    assert len(re.findall(r"yes │ +yes │", capsys.readouterr().out)) == 9
 
 
 def test_unknown_table_is_refused(script):
-    done = CliRunner().invoke(script("gaussian_dem", "tables").main, ["--table", "9"])
+    command = study_command(script("gaussian_dem", "tables").study)
+    done = CliRunner().invoke(command, ["--table", "9"])
     assert done.exit_code == 2
     assert "Traceback" not in done.output
 
@@ -115,34 +107,33 @@ def test_phase_only_moves_the_baseline_cells(script):
 def test_table_6_counts_each_cell_once_per_map(script, monkeypatch):
     computed = script("gaussian_dem", "computed")
     monkeypatch.setattr(computed, "CONFIGURATIONS", [(200.0, 60.0)])
-    result = computed.table_6(1)
+    monkeypatch.setattr(computed, "SCANS", range(1))
+    ((row,), _) = computed.table_6(0)
     one = computed.evaluate_scan(computed.testbed(0), 0, 0)
     seen, truth = one.evaluated, one.truth["roughness"]
     for method, maps in (("proposed", 1), ("baseline", 4)):
-        (curve,) = result["curves"]["roughness", 0, method]
-        assert curve.safe.sum() + curve.unsafe.sum() == maps * seen.sum()
+        assert np.sum(row["counts"][f"{method} roughness"]) == maps * seen.sum()
         called = np.concatenate([p[seen] > 0.5 for p in one.p[method, "roughness"]])
         safe = np.tile(truth[seen], maps)
-        precision, recall = result["at_half"][f"{method} roughness"][0][0]
+        precision, recall = row["at_half"][f"{method} roughness"]
         assert precision == pytest.approx((called & safe).sum() / called.sum())
         assert recall == pytest.approx((called & safe).sum() / safe.sum())
 
 
-def test_unsafe_sites_are_split_by_returns_above_the_limit(script, monkeypatch):
-    study = script("gaussian_dem", "sensitivity")
+def test_unsafe_sites_are_split_by_returns_above_the_limit(script, monkeypatch, capsys):
+    study = script("gaussian_dem", "missed_hazards")
     monkeypatch.setattr(study, "CONFIGURATIONS", [(1000.0, 60.0)])
     own = study.testbed(1)
     monkeypatch.setattr(study, "testbed", lambda seed, **bed: own)
-    (one,) = study.count_missed_sites((0, 1))
-    unsafe = one.quality.false_safe + one.quality.rejected
-    assert one.seen[1] + one.unseen[1] == unsafe
-    assert one.seen[0] + one.unseen[0] == one.quality.false_safe
+    rows = run_study(study.study, count=1, seed=1, levels={"scans": ["as in Table 6"]})
+    (one,) = rows
     # Rocks without a return are more often called safe.
-    assert one.unseen[0] / one.unseen[1] > 3.0 * one.seen[0] / one.seen[1]
+    missed = one["unseen_called_safe"] / one["unseen"]
+    assert missed > 3.0 * one["seen_called_safe"] / one["seen"]
     # The same split by raster distances, accurate to half a cell.
-    setting = {"sigma_f": np.sqrt(study.VARIANTS[0].growth * study.LENGTH)}
     rng = np.random.default_rng([1, 0])
-    scan = study.map_testbed(own, 1000.0, 60.0, rng, length_scale=study.LENGTH, **setting)
+    setting = study.prior_of_growth(study.growth(study.MARGIN))
+    scan = study.map_testbed(own, 1000.0, 60.0, rng, **setting)
     low = np.ones(scan.grid.shape, np.bool_)
     high = scan.points[scan.points[:, 2] > 0.25, :2]
     row, col = scan.grid.cell(high[scan.grid.contains(high)])
@@ -150,27 +141,30 @@ def test_unsafe_sites_are_split_by_returns_above_the_limit(script, monkeypatch):
     safe = study.truth_of(own, scan)["roughness"]
     seen = study.stochastic_safety(scan.dem.mean, scan.dem.variance, scan.grid, study.LANDER)
     judged = seen.observed & own.safety.observed[scan.window] & ~safe
+    assert one["seen"] + one["unseen"] == judged.sum()
+    called = one["seen_called_safe"] + one["unseen_called_safe"]
+    assert called == (seen.p_roughness[judged] > 0.5).sum()
     shown = 0.1 * ndimage.distance_transform_edt(low)[judged] < study.LANDER.leg_radius
-    assert one.seen[1] == pytest.approx(shown.sum(), rel=0.02)
+    assert one["seen"] == pytest.approx(shown.sum(), rel=0.02)
+    report_study(study.study, rows)
+    assert "as in Table 6" in capsys.readouterr().out
 
 
-def test_random_field_is_swept_over_both_tables(script, monkeypatch, tmp_path):
-    study = script("gaussian_dem", "sensitivity")
+def test_random_field_is_swept_over_both_tables(script, tmp_path, capsys):
+    study = script("gaussian_dem", "prior_sweep")
     paper = [
         [p5[1], p5[3], 0.0, p6[1], p6[3], p6[5], p6[7]]
         for p5, p6 in zip(study.PAPER_5, study.PAPER_6, strict=True)
     ]
-    rows = np.tile(paper, (len(study.GROWTHS), 1, 1))
-    rows[3:, 2, study.METRICS.index("nlpd")] += 0.1
-    rows[2, 5, study.METRICS.index("recall slope")] -= 0.1
-    values = {name: rows[:, :, i] for i, name in enumerate(study.METRICS)}
+    found = np.tile(paper, (len(study.GROWTHS), 1, 1))
+    found[3:, 2, study.METRICS.index("nlpd")] += 0.1
+    found[2, 5, study.METRICS.index("recall slope")] -= 0.1
+    values = {name: found[:, :, i] for i, name in enumerate(study.METRICS)}
     count = study.count_scans_as_published(values)
     assert count["NLPD"].tolist() == [9, 9, 9] + [8] * (len(study.GROWTHS) - 3)
     assert count["recall slope"][:4].tolist() == [9, 9, 8, 9]
-    monkeypatch.setattr(study, "sweep_testbed", lambda seed: rows.tolist())
-    arguments = ["--study", "field", "--seeds", "1", "--out", str(tmp_path)]
-    done = CliRunner().invoke(study.main, arguments)
-    assert done.exit_code == 0, done.output
-    assert f"both {study.GROWTHS[2]:.1e} m" in done.output
+    rows = [{"number": 0, **dict(zip(study.METRICS, one, strict=True))}
+            for one in found.reshape(-1, len(study.METRICS))]  # fmt: skip
+    report_study(study.study, rows, out=tmp_path)
+    assert f"both {study.GROWTHS[2]:.1e} m" in capsys.readouterr().out
     assert (tmp_path / "random_field.png").stat().st_size > 20_000
-    assert CliRunner().invoke(study.main, ["--seeds", "0"]).exit_code == 2

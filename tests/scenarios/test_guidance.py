@@ -62,13 +62,13 @@ def test_spherical_and_flat_moon_are_compared(script, capsys):
 
 
 def test_reach_shrinks_on_the_way_down(script, tmp_path):
-    study, out = script("guidance", "reach"), tmp_path / "reach.png"
-    arguments = ["--law", "e-guidance", "--height", "450", "--height", "200", "--out", str(out)]
-    done = CliRunner().invoke(study.main, arguments)
-    assert done.exit_code == 0, done.output
-    areas = [float(line.split()[4]) for line in done.output.splitlines() if "km^2" in line]
+    study = script("guidance", "reach").study
+    options = {"law": "e-guidance", "height": (450.0, 200.0)}
+    rows = run_study(study, options=options)
+    report_study(study, rows, options=options, out=tmp_path)
+    areas = [row["area_km2"] for row in rows]
     assert areas[0] > 2.0 * areas[1] > 0.0
     # Area of the surveyed square, 6.5 heights wide, km^2.
     assert all(0.05 * (6.5 * up) ** 2 < 1e6 * a < (6.5 * up) ** 2
                for up, a in zip((450.0, 200.0), areas, strict=True))  # fmt: skip
-    assert cv2.imread(str(out)).std() > 20
+    assert cv2.imread(str(tmp_path / "reach.png")).std() > 20

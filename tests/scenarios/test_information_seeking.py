@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from rich.console import Console
 
-from lunarsim.campaign import pool
+from lunarsim import flight_seed
+from lunarsim.studies import Case, Report, report_study, run_study
 
 
 @pytest.fixture
@@ -42,8 +40,9 @@ def test_paths_are_compared_per_field(study):
     assert study.compare_paths(rows)["safe sites known"]["seeking"].startswith("0.250")
     assert study.compare_paths(rows)["known and reachable"]["seeking"].startswith("0.125")
     console = Console(record=True, width=150)
-    study.show("camera", rows, console)
-    study.show_losses(rows, console)
+    report = Report([], ["sensors"], "fields", {}, False, {}, 1, console)
+    study.show("camera", rows, report)
+    study.show_losses(rows, report)
     told = console.export_text()
     assert "Worse than modified in 1 of 2" in told
     assert "Worse than nominal in 0 of 2" in told
@@ -66,13 +65,11 @@ def test_difference_is_significant_if_its_interval_is_above_zero(study):
 
 
 def test_field_counts_if_all_paths_have_flown_it(study):
-    tasks = [study.SeekingFlightTask(p, k, 1) for k in range(2) for p in study.PATHS]
-    flights = {t.key: made(study, 0.5) for t in tasks[:5]}
-    assert len(study.complete_fields(tasks, flights)) == 1
-    assert study.unfinished(tasks, flights) == []
-    del flights[tasks[0].key]["levels"][study.LAST]
-    assert study.complete_fields(tasks, flights) == []
-    assert study.unfinished(tasks, flights) == [tasks[0].key]
+    rows = [made(study, 0.5) | {"number": k, "path": p} for k in range(2) for p in study.PATHS]
+    assert len(study.complete_fields(rows)) == 2
+    assert len(study.complete_fields(rows[:5])) == 1
+    del rows[0]["levels"][study.LAST]
+    assert study.complete_fields(rows[:5]) == []
 
 
 def test_sobol_points_lie_within_their_bounds(study):
@@ -80,74 +77,43 @@ def test_sobol_points_lie_within_their_bounds(study):
     assert len(set(points)) == 60
     assert points == study.sample_conditions(60, 3)
     assert points != study.sample_conditions(60, 4)
+    assert [study.sample_conditions(n + 1, 3)[-1] for n in range(60)] == points
     rows = np.array([(g.azimuth, g.elevation, g.slope, g.cover) for g in points])
     assert (rows >= [0.0, 5.0, 0.0, 0.02]).all()
     assert (rows <= [360.0, 40.0, 4.0, 0.15]).all()
     assert (np.ptp(rows, axis=0) > 0.9 * np.array([360.0, 35.0, 4.0, 0.13])).all()
 
 
-def test_study_resumes_from_its_file_and_rejects_another(study, tmp_path, monkeypatch):
+def test_paths_of_a_field_share_conditions_and_seed(study, tmp_path, monkeypatch, capsys):
     flown = []
 
-    def fly(task):
-        flown.append(task.key)
-        return made(study, 0.5)
+    def fly(path, sensors, conditions, seed):
+        flown.append((path, sensors, conditions, str(seed)))
+        return made(study, 0.5) | {"path": path}
 
     monkeypatch.setattr(study, "fly", fly)
-    monkeypatch.setattr(study, "iterate_results", pool.iterate_results)
-    file = tmp_path / "study.json"
-    words = ["--fields", "2", "--sensors", "camera", "--json", str(file)]
-    assert CliRunner().invoke(study.main, words).exit_code == 0
-    assert len(flown) == 6
-    data = json.loads(file.read_text())
-    del data["flights"]["camera / 1 / seeking"]
-    file.write_text(json.dumps(data))
-    picture = tmp_path / "figure.png"
-    done = CliRunner().invoke(study.main, [*words, "--figure", str(picture)])
-    assert done.exit_code == 0
-    assert flown[6:] == ["camera / 1 / seeking"]
-    assert (tmp_path / "figure_camera.png").stat().st_size > 10_000
-    wrong = CliRunner().invoke(study.main, [*words, "--seed", "7"])
-    assert wrong.exit_code == 2
-    assert "must contain flights with the same settings" in wrong.output
-    file.write_text(file.read_text()[:200])
-    wrong = CliRunner().invoke(study.main, words)
-    assert wrong.exit_code == 2
-    assert "must be a" in wrong.output
-    assert flown[7:] == []
-
-
-def test_interrupt_keeps_finished_flights(study, tmp_path, monkeypatch):
-    flown = []
-
-    def fly(task):
-        if len(flown) == 4:
-            raise KeyboardInterrupt
-        flown.append(task.key)
-        return made(study, 0.5)
-
-    monkeypatch.setattr(study, "fly", fly)
-    file = tmp_path / "study.json"
-    words = ["--sobol", "2", "--json", str(file)]
-    done = CliRunner().invoke(study.main, words)
-    assert "Interrupted. The finished flights are saved" in done.output
-    assert list(json.loads(file.read_text())["flights"]) == flown
-    monkeypatch.setattr(study, "fly", lambda task: flown.append(task.key) or made(study, 0.5))
-    assert CliRunner().invoke(study.main, words).exit_code == 0
-    assert len(flown) == len(set(flown)) == 6
-
-
-@pytest.mark.parametrize("words", [["--sobol", "2", "--sensors", "lidar"], ["--seed", "-1"],
-                                   ["--sobol", "-1"], ["--fields", "0"]])  # fmt: skip
-def test_invalid_options_are_rejected(study, words):
-    assert CliRunner().invoke(study.main, words).exit_code == 2
+    options = {"sobol": True}
+    rows = run_study(study.study, count=2, levels={"sensors": ["camera"]}, options=options)
+    assert [(r["number"], r["path"]) for r in rows] == [
+        (k, p) for k in range(2) for p in study.PATHS
+    ]
+    assert [f[2] for f in flown[::3]] == study.sample_conditions(2, 1)
+    assert {f[2:] for f in flown[:3]} == {flown[0][2:]}
+    study.fly_paths(Case({"sensors": "lidar"}, 0, 1, {"sobol": False}))
+    assert flown[-1] == ("seeking", "lidar", study.SunAndTerrain(), str(flight_seed(1, 0)))
+    report_study(study.study, rows, options=options, out=tmp_path)
+    assert "camera: 2 fields" in capsys.readouterr().out
+    assert (tmp_path / "known_in_reach_camera.png").stat().st_size > 10_000
+    del rows[0]["levels"][study.LAST]
+    report_study(study.study, rows)
+    assert "did not reach 50 m: 0 / nominal" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("sensors", ["camera", "lidar", "both"])
 def test_every_sensor_set_is_a_valid_scenario(study, script, sensors):
     flights = script(".", "seeking_flights")
     for path in flights.PATHS:
-        scenario = flights.scenario_of(flights.SeekingFlightTask(path, 0, 1, sensors))
+        scenario = flights.scenario_of(path, sensors, flights.SunAndTerrain())
         kind = "information-seeking" if path == "seeking" else "apollo"
         assert scenario.guidance.kind == kind
         assert ("rocks" in scenario.mappers) == (sensors != "lidar")
@@ -157,7 +123,8 @@ def test_every_sensor_set_is_a_valid_scenario(study, script, sensors):
 @pytest.mark.slow
 def test_seeking_sees_more_than_nominal_for_less_propellant_than_modified(script):
     flights = script(".", "seeking_flights")
-    flown = {p: flights.fly(flights.SeekingFlightTask(p, 0, 41)) for p in flights.PATHS}
+    conditions, seed = flights.SunAndTerrain(), flight_seed(41, 0)
+    flown = {p: flights.fly(p, "camera", conditions, seed) for p in flights.PATHS}
     clear = {p: f["levels"]["50"]["clear"] for p, f in flown.items()}
     assert clear["seeking"] > clear["nominal"] + 0.2
     assert clear["seeking"] > clear["modified"] - 0.03

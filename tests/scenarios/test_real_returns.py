@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.gaussian_dem import GaussianDem
+from lunarsim.studies import report_study, run_study
 
 GRADIENT = (0.3, -0.2)
 
@@ -99,23 +97,38 @@ def test_scores_of_a_known_map(script):
     judging = script("real_returns", "held_out_comparison")
     p = np.array([0.9, 0.9, 0.1, 0.1, np.nan])
     safe = np.array([True, False, False, False, True])
-    s = judging.safety_metrics(p, safe)
+    s = judging.safety_metrics([judging.safety_counts(p, safe)])
     assert (s["n"], s["share"], s["precision"], s["recall"]) == (4, 0.25, 0.5, 1.0)
     # Brier: (0.01 + 0.81 + 0.01 + 0.01) / 4 = 0.21 against a base of 0.1875.
     assert s["skill"] == pytest.approx(1.0 - 0.21 / 0.1875)
     assert np.isnan(s["above"])
+    # Counts of the parts add up.
+    parts = [judging.safety_counts(p[k], safe[k]) for k in (slice(2), slice(2, None))]
+    assert judging.safety_metrics(parts) == pytest.approx(s, nan_ok=True)
 
 
-def test_script_prints_and_draws(script, tmp_path):
-    study = script("real_returns", "airborne")
-    arguments = ["--quick", "--splits", "1", "--out", str(tmp_path)]
-    done = CliRunner().invoke(study.main, [*arguments, "--json", str(tmp_path / "all.json")])
-    assert done.exit_code == 0, done.output
-    data = json.loads((tmp_path / "all.json").read_text())["ground"]
-    every = data["heights"]["as flights do"]["all"]
+def test_height_errors_of_splits_are_pooled(script):
+    judging = script("real_returns", "held_out_comparison")
+    rng = np.random.default_rng(5)
+    error, sigma = rng.normal(0.0, 0.3, 50), rng.uniform(0.1, 0.4, 50)
+    place, xy = np.zeros(50, int), np.zeros((50, 2))
+    parts = [judging.HeightErrors(error[k], sigma[k], place[k], xy[k]).statistics()
+             for k in (slice(10), slice(10, 50), slice(0))]  # fmt: skip
+    whole = judging.HeightErrors(error, sigma, place, xy).statistics()
+    assert judging.height_metrics(parts) == pytest.approx(whole)
+    assert np.isnan(judging.height_metrics(parts[2:])["rmse"])
+
+
+def test_script_prints_and_draws(script, tmp_path, capsys):
+    module = script("real_returns", "airborne")
+    study, options = module.study, {"quick": True}
+    rows = run_study(study, count=1, options=options)
+    report_study(study, rows, options=options, out=tmp_path)
+    found = {(r["test"], r.get("mapped"), r["map"], r["slope"]): r for r in rows}
+    every = found["heights", None, "as flights do", "all"]
     assert abs(every["bias"]) < 0.05
     assert every["rmse"] < 0.5
-    planes = data["safety"]["0.5"]["planes, field of Table 6"]["all"]
-    assert planes["precision"] > 0.9
+    planes = found["safety", 0.5, "planes, field of Table 6", "all"]
+    assert module.safety_metrics([planes])["precision"] > 0.9
     assert (tmp_path / "airborne.png").stat().st_size > 50_000
-    assert CliRunner().invoke(study.main, ["--splits", "0"]).exit_code == 2
+    assert "lander scale" in capsys.readouterr().out

@@ -171,37 +171,22 @@ def test_orthogonal_array_has_every_pair_of_levels_once(script):
 
 
 @pytest.fixture
-def matrix(script, tmp_path, monkeypatch):
-    """A matrix of two cells with one short descent."""
+def matrix(script, monkeypatch):
+    """The matrix with one short descent for all cells."""
     module = script("shadows", "matrix")
     short = Scenario.from_dict(SMALL_SHADOW_FLIGHT)
-    cells = tuple(module.ShadowCell(f"small {k}", cover=0.05) for k in range(2))
-    monkeypatch.setattr(module, "CELLS", cells)
     monkeypatch.setattr(module.ShadowCell, "scenario", lambda self, path: short)
     return module
 
 
-def test_matrix_stores_each_flight_and_resumes(matrix, tmp_path, monkeypatch):
-    file = tmp_path / "matrix.json"
-    some = ["--cells", "small 0", "--fields", "1", "--json", str(file)]
-    done = CliRunner().invoke(matrix.main, some)
-    assert done.exit_code == 0, done.output
-    kept = json.loads(file.read_text())["flights"]
-    assert list(kept) == ["small 0 / 0"]
-    flight = kept["small 0 / 0"]
-    counts, table = flight["classes"], np.array(flight["reliability"])
+def test_matrix_evaluates_maps_and_touchdowns(matrix, capsys):
+    rows = run_study(matrix.study, count=1, levels={"cell": ["home", "hirise"]})
+    assert [row["cell"] for row in rows] == ["home", "hirise"]
+    counts, table = rows[0]["classes"], np.array(rows[0]["reliability"])
     assert table[:, 0].sum() == counts["cells"] and table[:, 2].sum() == counts["occupied"]
-    assert flight["landed"] and flight["objects"] >= flight["objects_clear"]
-    # Stored flights are not repeated; a file of another seed is rejected.
-    flown = []
-    monkeypatch.setattr(matrix, "fly", lambda task: flown.append(task.key) or flight)
-    done = CliRunner().invoke(matrix.main, ["--fields", "1", "--json", str(file)])
-    assert done.exit_code == 0, done.output
-    assert flown == ["small 1 / 0"]
-    for other in (["--seed", "2"], ["--method", "paper"]):
-        done = CliRunner().invoke(matrix.main, [*some, *other])
-        assert done.exit_code == 2 and "must contain flights with the same settings" in done.output
-    assert CliRunner().invoke(matrix.main, ["--cells", "pyramids"]).exit_code == 2
+    assert rows[0]["landed"] and rows[0]["objects"] >= rows[0]["objects_clear"]
+    report_study(matrix.study, rows)
+    assert "of 2 cells miss a goal" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("off", [0.0, 3.0])

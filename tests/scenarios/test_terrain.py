@@ -10,6 +10,7 @@ from click.testing import CliRunner
 
 from lunarsim.grid import Grid
 from lunarsim.scenario import Scenario
+from lunarsim.studies import run_study, unpack_array
 from lunarsim.world.terrain import Heightfield
 from tests.conftest import SCENARIOS
 
@@ -89,8 +90,9 @@ def test_spectrum_keeps_the_variance_of_white_noise(script):
 @pytest.mark.slow
 def test_rendered_images_are_close_to_the_real_image(script):
     study = script("terrain", "compare_with_nac")
-    images, found = study.compare(("highland", "golombek"), 7)
-    spread, length = study.smooth_area_statistics(images["real"])
+    rows = run_study(study.study, seed=7, options={"terrain": ("highland", "golombek")})
+    found = {row["image"]: row for row in rows}
+    spread, length = study.smooth_area_statistics(unpack_array(rows[0]["pixels"]))
     assert spread == pytest.approx(0.056, abs=0.002)
     assert length == pytest.approx(4.2, abs=1.0)
     real = found.pop("real")

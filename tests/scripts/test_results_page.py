@@ -57,21 +57,20 @@ def test_section_has_mean_range_and_shortfalls(results):
 
 
 def test_gaussian_dem_metrics_are_by_seed(results):
-    row = {
-        "c": 0.5,
-        "precision": [1.0, 0.9],
-        "recall": [0.2, 0.3],
-        "bounded": [0.8, 0.7],
-        "paper": 0.28,
-    }
+    table_3 = [
+        {"table": "3", "number": k, "c": 0.5, "precision": 1.0 - 0.1 * k, "recall": 0.2 + 0.1 * k,
+         "bounded": 0.8 - 0.1 * k, "paper": 0.28}
+        for k in range(2)
+    ]  # fmt: skip
     calls = [[[0.9, 0.5], [0.8, 0.6]], [[float("nan"), 0.7], [0.95, 0.4]]]  # two scans, two seeds
-    found = {
-        "3": {"rows": [row]},
-        "6": {"at_half": {"proposed slope": calls, "proposed roughness": calls}},
-    }
+    table_6 = [
+        {"table": "6", "number": k, "at_half": {"proposed slope": c, "proposed roughness": c}}
+        for scan in calls for k, c in enumerate(scan)
+    ]  # fmt: skip
+    found = {"rows": [*table_3, {"table": "4", "number": 0}, *table_6]}
     report = results.extract_report("gaussian_dem", found, "python x.py")
     by = {f.label: f for f in report.figures}
-    assert by["Table 3, c = 0.5: recall"].values == [0.2, 0.3]
+    assert by["Table 3, c = 0.5: recall"].values == pytest.approx([0.2, 0.3])
     assert by["Table 3, c = 0.5: recall"].paper == 0.28
     assert by["Table 6, proposed slope, minimum precision of nine scans"].values == [0.9, 0.8]
     assert by["Table 6, proposed slope, minimum recall of nine scans"].values == [0.5, 0.4]
@@ -169,19 +168,24 @@ def test_navigation_metrics_are_by_flight(results):
 
 
 def test_real_return_metrics_are_by_split(results):
-    heights = {
-        name: {"by split": [{"rmse": k + 0.1, "nees": k + 0.2, "beyond2": k + 0.3},
-                            {"rmse": k + 0.4, "nees": k + 0.5, "beyond2": k + 0.6}]}
+    rows = [
+        {
+            "returns": returns, "map": name, "slope": slope, "rmse": k + more,
+            "nees": k + more + 0.1, "beyond2": k + more + 0.2,
+        }
         for k, name in enumerate(("as flights do", "field of Table 6"))
-    }  # fmt: skip
-    report = results.extract_report("real_returns", {"ground": {"heights": heights}}, "")
+        for more in (0.1, 0.4)
+        for returns, slope in (("terrain returns", "all"), ("terrain returns", "over 40"),
+                               ("returns of every class", "all"))
+    ]  # fmt: skip
+    report = results.extract_report("real_returns", {"rows": [*rows, {"test": "safety"}]}, "")
     error, square, share = (
         "RMSE",
         "mean square of error / predicted sigma (ideal 1)",
         "fraction beyond 2",
     )
     values = {f.label: f.values for f in report.figures}
-    assert values == {
+    assert {k: pytest.approx(v) for k, v in values.items()} == {
         f"as flights do: {error}": [0.1, 0.4],
         f"as flights do: {square}": [0.2, 0.5],
         f"as flights do: {share} sigma (ideal 0.046)": [0.3, 0.6],

@@ -147,7 +147,7 @@ def test_a_map_reads_no_other_file(folder, tmp_path, how):
                 file.create_virtual_dataset("p_safe", layout)
 
     forge(folder, "maps/dem.nc", write)
-    with pytest.raises(InputError, match="links to another place"):
+    with pytest.raises(InputError, match="is a link to other data"):
         Flight.load(folder)
 
 

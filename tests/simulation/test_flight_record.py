@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import asdict
 
@@ -152,6 +153,17 @@ def test_what_is_no_flight_is_refused(flown, tmp_path):
         Flight.load(folder)
     (folder / "flight.json").write_text("{")
     with pytest.raises(InputError, match="intact file of a flight record"):
+        Flight.load(folder)
+
+
+def test_a_record_without_a_column_was_written_by_another_version(flown, tmp_path):
+    folder = flown[1].save(tmp_path / "flight")
+    file, record = folder / "trajectory.parquet", folder / "flight.json"
+    pq.write_table(pq.read_table(file).drop_columns("thrust"), file)
+    tables = json.loads(record.read_text(encoding="utf-8"))
+    tables["digests"][file.name] = hashlib.sha256(file.read_bytes()).hexdigest()
+    record.write_text(json.dumps(tables), encoding="utf-8")
+    with pytest.raises(InputError, match=r"has no column thrust: another version"):
         Flight.load(folder)
 
 

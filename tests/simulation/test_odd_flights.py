@@ -10,14 +10,13 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.policies.contract import Decision
-from lunarsim.parts import quantity
+from lunarsim.parts import kinds, quantity
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.world.terrain import Heightfield
 from lunarsim.world.terrain_models.interface import add_rocks
 
-LAWS = ["apollo", "modified-apollo", "e-guidance", "zem-zev", "augmented-apollo",
-        "fractional-polynomial", "optimal"]  # fmt: skip
+LAWS = [kind for kind in kinds("guidance") if kind not in {"neural-optimal", "information-seeking"}]
 
 
 @dataclass(frozen=True)

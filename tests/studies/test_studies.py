@@ -138,6 +138,7 @@ def test_statistics_of_a_metric():
     assert Metric("x", "median", 1).text(values) == "2.0"
     assert Metric("x", "max", 0).text(values) == "6"
     assert Metric("x", "sum", 0).text(values) == "9"
+    assert Metric("x", "rms", 2).text([3.0, 4.0, float("nan")]) == "3.54"
     assert Metric("x", "median-p95", 1).text(values) == "2.0 / 5.6"
     assert Metric("x", "mean", 1).text([float("nan")]) == "-"
     assert Metric("x", "count").text([True, False, True]) == "2"

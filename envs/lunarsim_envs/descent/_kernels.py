@@ -201,7 +201,8 @@ class TerrainRasters(NamedTuple):
 class Flights(NamedTuple):
     """Status of the flights of n landers, each field an attribute of `DescentBatch`.
 
-    World index, time (s), status (FLYING, ...) and violated limits (n,); touchdown values (n, 7).
+    World index, time (s), status (FLYING, ...) and violated limits (n,); touchdown values (n,
+    values) in the order of `core.touchdown.VALUES`.
     """
 
     world: np.ndarray

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim._jit import threads_for
+from lunarsim.core.touchdown import VALUES
 from lunarsim.errors import InputError
 from lunarsim.frames import attitude_from_thrust
 from lunarsim.models.jet_lander import JetLander
@@ -191,11 +192,9 @@ class DescentBatch:
         State of the flight: FLYING, LANDED (a pad has touched), LOST (off the map) or LATE (time
         limit) (n,).
     failed
-        Violated touchdown limits, one bit each in the order of
-            `TOUCHDOWN_LIMITS` (n,).
+        Violated touchdown limits (n,), one bit each in the order of `core.touchdown.CAUSES`.
     touchdown_values
-        Vertical and horizontal speed, tilt, rate, slope, roughness and tip-over margin at
-        touchdown (n, 7), SI.
+        Values at touchdown (n, values) in the order of `core.touchdown.VALUES`, SI.
     starts, target_areas
         Start and target parameters of each lane, as `VehicleParams.start` (n, 8) and
         `VehicleParams.target_area` (n, 4).
@@ -217,7 +216,7 @@ class DescentBatch:
         self.count, self.craft, self.worlds, self.guided = count, craft, worlds, guided
         self.steps = craft.steps(rate)
         self.y, self.target = np.zeros((count, 15)), np.zeros((count, 3))
-        self.time, self.touchdown_values = np.zeros(count), np.full((count, 7), np.nan)
+        self.time, self.touchdown_values = np.zeros(count), np.full((count, len(VALUES)), np.nan)
         self.ended, self.failed = np.full(count, LATE), np.zeros(count, np.int64)
         self.starts = np.tile(craft.start, (count, 1))
         self.target_areas = np.tile(craft.target_area, (count, 1))

@@ -280,7 +280,7 @@ class GuidanceEnv(DescentEnv):
     ``propellant_kg`` used and ``miss_m``, the horizontal distance from the target. The episode is
     truncated at the time limit of the scenario (120 s). In a vector environment,
     ``info["failure_causes"]`` has one bit for each limit in
-    `lunarsim.vehicle.touchdown.TOUCHDOWN_LIMITS`.
+    `lunarsim.core.touchdown.CAUSES`.
 
     ## Arguments
 

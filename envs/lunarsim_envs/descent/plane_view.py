@@ -40,7 +40,7 @@ class PlaneView:
         self._along = np.array([1.0, 0.0])
 
     def begin(self) -> None:
-        """Start a flight and set the view plane through the lander and its target."""
+        """Start the drawn path of a flight in the plane of lander and target."""
         away = (self._lanes.y[self._lane, :2] - self._lanes.target[self._lane, :2]).copy()
         far = float(np.linalg.norm(away))
         self._along = away / far if far > 1.0 else np.array([1.0, 0.0])

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lunarsim.core.touchdown import LIMITS, VALUES
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.rewards import DescentReward
@@ -18,9 +19,9 @@ MAX_MISS_M = 50.0
 # Maximum severity of a crash (distance plus speed, each over that of the planned start), and
 # maximum excess over a limit (natural logarithm of the ratio).
 MAX_SEVERITY, MAX_EXCESS = 2.0, 3.0
-# Number of columns of `DescentBatch.touchdown_values` with a limit: vertical and horizontal
-# speed, tilt, rate.
-_LIMITED = 4
+# Limits of motion at touchdown, and the columns of their values.
+_LIMITS = [limit for limit in LIMITS if not limit.is_terrain]
+_LIMITED = [VALUES.index(limit.value) for limit in _LIMITS]
 
 
 @dataclass(frozen=True)
@@ -93,16 +94,13 @@ class Rewards:
     def _excess(self) -> Array:
         """Return by how much touchdowns exceed their limits (n,).
 
-        It is the sum over vertical speed, horizontal speed, tilt and rate of log(value / limit), or
-        0 within the limit. Each logarithm is at most `MAX_EXCESS`; without a touchdown (off the
+        It is the sum over the limits of motion (speeds, tilt, rates) of log(value / limit), or 0
+        within the limit. Each logarithm is at most `MAX_EXCESS`; without a touchdown (off the
         map) each one is `MAX_EXCESS`.
         """
         vehicle = self.lanes.craft.dynamics.lander
-        limits = np.array([
-            vehicle.vertical_speed_limit, vehicle.horizontal_speed_limit, vehicle.tilt_limit,
-            vehicle.rate_limit,
-        ])  # fmt: skip
-        times = np.abs(self.lanes.touchdown_values[:, :_LIMITED]) / limits
+        limits = np.array([getattr(vehicle, limit.limit) for limit in _LIMITS])
+        times = np.abs(self.lanes.touchdown_values[:, _LIMITED]) / limits
         folds = np.log(np.maximum(times, 1.0))
         folds = np.where(np.isfinite(folds), np.minimum(folds, MAX_EXCESS), MAX_EXCESS)
         return np.asarray(folds.sum(axis=1))

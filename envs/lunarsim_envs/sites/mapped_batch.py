@@ -25,7 +25,8 @@ class MappedDescentBatch(SiteDescentBatch):
     """Landers that fly in parallel with simulated scans and ``gaussian-dem`` maps.
 
     Unlike `SiteDescentBatch`, which samples map errors from a statistical model, LiDAR scans of the
-    terrain are simulated and mapped. Arguments are those of `SiteDescentBatch`.
+    terrain are simulated and mapped. Arguments are those of `SiteDescentBatch`, except
+    that the grid spacing is always that of the mapper.
 
     Raises
     ------

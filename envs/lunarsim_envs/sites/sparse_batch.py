@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from lunarsim.core.touchdown import CAUSES
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.typing import BoolArray, IntArray
-from lunarsim.vehicle.touchdown import TOUCHDOWN_LIMITS
 from lunarsim_envs.descent.batch import LATE
 from lunarsim_envs.sites import _sparse_kernels as k
 from lunarsim_envs.sites.batch import SiteDescentBatch
@@ -31,7 +31,7 @@ class FlightSummary:
     flights, safe
         Number of flights, and of safe landings.
     failed
-        Number of violations of each limit in `TOUCHDOWN_LIMITS` and of the time limit.
+        Number of violations of each limit in `core.touchdown.CAUSES` and of the time limit.
     seconds
         Total flight time, s.
     propellant
@@ -140,7 +140,7 @@ class SparseDescentBatch(SiteDescentBatch):
         safe = self.safe & mask
         failed = {
             name: int(((self.failed >> bit & 1).astype(bool) & mask).sum())
-            for bit, name in enumerate(TOUCHDOWN_LIMITS)
+            for bit, name in enumerate(CAUSES)
         }
         failed["time-limit"] = int(((self.ended == LATE) & mask).sum())
         known = mask & np.isfinite(self.site_p_safe)

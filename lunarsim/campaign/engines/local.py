@@ -95,8 +95,10 @@ class LocalEngine:
         The parameters are those of `Engine.fly`. A flight whose process dies is started up to
         `MAX_ATTEMPTS` times.
 
-        Raises ------ WorkerStartError
-            If workers end before they are ready.
+        Raises
+        ------
+        WorkerStartError
+            If `MAX_ATTEMPTS` workers in a row end before they are ready.
         """
         source = iter(groups)
         try:

@@ -49,11 +49,12 @@ class VerticalDescent:
     speed_gain
         Gain of the vertical speed loop, 1/s.
     max_tilt, max_tilt_at_touchdown
-        Maximum tilt of the thrust at `full_tilt_height` and above, and at touchdown, rad; the
-        lander must touch down upright.
-    full_tilt_height, low_height
-        Heights below which the maximum tilt decreases, m: during a nominal descent, and during a
-        slowed descent.
+        Maximum tilt of the thrust high above the site, and at touchdown, rad; the lander must touch
+        down upright.
+    full_tilt_height
+        Height below which the maximum tilt decreases linearly towards touchdown, m.
+    low_height
+        The same height during a slowed descent, m.
     tolerated_speed
         Tolerated horizontal speed, m/s.
     min_speed_fraction

@@ -86,9 +86,10 @@ def _random_walks(step, velocity, angle, accelerometer, gyroscope):
 
 @kernel(inline=True)
 def _add_noise(variances, covariance):
-    """Add the variances (6,) from `_random_walks` to `covariance` (15, 15), in place.
+    """Add the random walks of an interval to `covariance` (15, 15), in place.
 
-    Each variance applies to each of the three axes of its error.
+    `variances` (6,) from `_random_walks` are five variances, and at index 1 the covariance of
+    attitude and gyroscope bias. Each applies to the three axes of its error.
     """
     for i in range(3):
         covariance[i, i] += variances[0]

@@ -297,8 +297,8 @@ class ErrorState(SchmidtKalmanCovariance):
         singular, as while two poses coincide. `nis` of the outcome is the squared Mahalanobis
         distance of the correction. A correction is rejected if `nis` exceeds `gate`, or if its
         chi-squared tail probability is below `min_probability`. Information that is not finite is
-        ignored, and `nis` is NaN. If the covariance is no longer positive definite, it is rejected
-        with an infinite `nis`.
+        ignored, and `nis` is NaN. If rounding errors have made the covariance indefinite, it is
+        rejected with an infinite `nis`.
         """
         k = len(indices)
         if not (np.isfinite(information).all() and np.isfinite(vector).all()):

@@ -47,7 +47,8 @@ class ExternalFixes:
 class FixNavigation(Navigation):
     """Navigation that returns the last fix of an external navigation system.
 
-    Before the first fix, the estimate is the initial one. A fix is ignored if it is not finite, its
+    A fix is not propagated; the angular rate is that of the last gyroscope sample, if any. Before
+    the first fix, the estimate is the initial one. A fix is ignored if it is not finite, its
     attitude is not a unit quaternion or a variance is negative. `MeasurementSequencer` rejects
     fixes that are out of order. Navigation is lost if there is no fix for 2 s.
 
@@ -56,7 +57,7 @@ class FixNavigation(Navigation):
     start
         Initial estimate.
     step
-        Time between gyroscope samples, if there are any, s.
+        Time between gyroscope samples, s; without gyroscopes it has no effect.
     """
 
     has_position_steps: ClassVar[bool] = False

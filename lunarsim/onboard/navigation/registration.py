@@ -167,20 +167,22 @@ def fit_residuals(
     *,
     outlier_variance: Array | None = None,
 ) -> MapFit:
-    """Estimate errors from height residuals by least squares without outliers.
+    """Return the information on errors in height residuals without outliers.
+
+    The result does not contain the prior; `solve_error` combines both to the estimate.
 
     Parameters
     ----------
     jacobian, residual, variance
         Jacobian, residuals and variances of n scalar measurements (n, d), (n,), (n,).
     prior
-        Prior covariance of the errors (d, d).
+        Prior covariance of the errors (d, d), used only to find outliers.
     gate
         Maximum residual after the fit, in standard deviations; larger ones are outliers.
     outlier_variance
-        Variances for the outlier test (n,); default: `variance`. `variance` can be larger because a
-        measurement was used before. If the test used it, changed terrain would pass after repeated
-        views.
+        Variances for the outlier test (n,); default: `variance`. If `variance` is increased for
+        measurements that were used before, these are the variances without the increase; otherwise
+        the test would accept changed terrain.
     """
     d = jacobian.shape[1]
     if len(residual) == 0:

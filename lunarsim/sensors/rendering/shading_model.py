@@ -60,7 +60,10 @@ class ShadingModel:
 
     @property
     def needs_fine_shading(self) -> bool:
-        """Whether the light needs more than a point Sun on terrain of uniform albedo."""
+        """Whether the light is more than a point Sun over terrain of uniform albedo.
+
+        That is a Sun disc, scattered light, earthshine, or albedo that varies.
+        """
         names = {line.split()[0] for line in self.defines}
         return bool(names & {"SOFT", "GLOW", "EARTH", "MOTTLE", "BOULDERS"})
 

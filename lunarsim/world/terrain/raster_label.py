@@ -118,7 +118,7 @@ def _json_label(source: DatasetReader, domain: str) -> dict[str, Any]:
 
 
 def _image_object(label: dict[str, Any]) -> dict[str, Any]:
-    """Return the nested object of a PDS3 label that describes the samples, or {}."""
+    """Return the part of a PDS3 label that describes the samples; {} if there is none."""
     if "SAMPLE_BITS" in label or "CORE_ITEM_BYTES" in label:
         return label
     nested = [_image_object(value) for value in label.values() if isinstance(value, dict)]

@@ -27,7 +27,7 @@ class HazardFieldTerrain:
         100.0,
         "m",
         gt=0,
-        help="side of the square inside the grassland that has boulders and craters",
+        help="side of the square field of boulders and craters; the grassland around it has none",
     )
     field_rotation: float = quantity(
         20.0,

@@ -211,7 +211,8 @@ def _with_undetected_ratio(
 ) -> MapEvidence | None:
     """Return the site data of the elevation map, given what the rock sensor observed.
 
-    `undetected_ratio`, the fraction of rocks that the rock sensor misses, is added to the site data
+    `undetected_ratio`, the number of undetected rocks after the rock sensor's observation over that
+    before (by size and cell; in unexplained shadow it can exceed 1), is attached to the site data
     and scales their expected number of undetected rocks. If it is 1 on all observed terrain, the
     site data of `elevations` are returned unchanged. The result is None if the elevation mapper
     provides no site data.

@@ -130,8 +130,9 @@ class FusedMapperSettings:
         names = self.inputs or tuple(n for n in others if n != self.calibration_mapper)
         if not names:
             raise InputError(
-                "inputs", self.inputs, "needs another mapper in the scenario",
-                "Add a table [mappers.NAME].", show_value=False,
+                "inputs", self.inputs,
+                "needs other mappers whose maps are combined, and the scenario has none",
+                "Add a table [mappers.NAME] for each.", show_value=False,
             )  # fmt: skip
         found: dict[str, type] = {}
         for name in names:

@@ -218,7 +218,7 @@ class GaussianDemMapper(HazardMapper):
 
     @property
     def pool(self) -> SamplePool:
-        """All samples, including those that later tilt corrections still rotate."""
+        """All samples: the final ones, and those that tilt corrections may still rotate."""
         return self._samples.union(self._provisional)
 
     def correct_tilt(self, turn: Array, pivot: Array, tilt_sigma: float) -> None:
