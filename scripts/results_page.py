@@ -131,19 +131,19 @@ def quadtree(results: dict[str, Any]) -> list[SeedMetric]:
     They are map errors, hazard areas and selected sites on the hazard field.
     """
     flights = results["rows"]
-    looks = [flight["looks"][-1] for flight in flights]
-    share = [look["missed_m2"] / max(look["hazard_m2"], 1e-9) for look in looks]
-    safe = [sum(s["exactly_safe"] for s in look["sites"]) for look in looks]
-    hazard = [sum(s["hazard_m2"] > 0.0 for s in look["sites"]) for look in looks]
+    evaluations = [flight["evaluations"][-1] for flight in flights]
+    share = [one["missed_m2"] / max(one["hazard_m2"], 1e-9) for one in evaluations]
+    safe = [sum(s["exactly_safe"] for s in one["sites"]) for one in evaluations]
+    hazard = [sum(s["hazard_m2"] > 0.0 for s in one["sites"]) for one in evaluations]
     return [
         SeedMetric("time of the lock", "s", _finite([flight["lock"] for flight in flights])),
-        SeedMetric("map error, RMS", "m", [x["map_error_rms"] for x in looks], 0.5, "lower"),
+        SeedMetric("map error, RMS", "m", [x["map_error_rms"] for x in evaluations], 0.5, "lower"),
         SeedMetric(
-            "slope error, maximum", "deg", [x["slope_error_max"] for x in looks], 6.0, "lower"
+            "slope error, maximum", "deg", [x["slope_error_max"] for x in evaluations], 6.0, "lower"
         ),
         SeedMetric("missed fraction of the hazard area", "", share),
-        SeedMetric("false hazard area", "m2", [x["false_m2"] for x in looks]),
-        SeedMetric("ranked sites", "", [float(len(x["sites"])) for x in looks]),
+        SeedMetric("false hazard area", "m2", [x["false_m2"] for x in evaluations]),
+        SeedMetric("ranked sites", "", [float(len(x["sites"])) for x in evaluations]),
         SeedMetric("exactly safe sites", "", [float(n) for n in safe]),
         SeedMetric(
             "landing zones with a true hazard", "", [float(n) for n in hazard], 0.0, "lower"
@@ -214,7 +214,7 @@ def guidance(results: dict[str, Any]) -> list[SeedMetric]:
     for law in dict.fromkeys(row["law"] for row in results["rows"]):
         mine = [row for row in results["rows"] if row["law"] == law]
         least = [row["optimum"] + row["descent"] for row in mine]
-        over = [100.0 * (row["whole"] / o - 1.0) for row, o in zip(mine, least, strict=True)]
+        over = [100.0 * (row["total"] / o - 1.0) for row, o in zip(mine, least, strict=True)]
         out += [
             SeedMetric(f"`{law}`: excess propellant to touchdown", "%", over, 0.0),
             SeedMetric(

@@ -45,7 +45,7 @@ NAN = float("nan")
         (Light, "elevation", [True]),
         (Light, "scattered_light", ["no", None]),
         (Light, "photometry", [["hapke"], 3]),
-        (TrackerSettings, "few", ["a", 2.5, -1]),
+        (TrackerSettings, "min_rocks_in_view", ["a", 2.5, -1]),
         (TrackerSettings, "min_landmark_radius", ["a", NAN]),
         (DetectionRates, "missed", ["abc", (1.0, None, 0.1)]),
         (RockModel, "burial", ["ab", (0.1, "x")]),
@@ -70,7 +70,7 @@ def test_what_has_no_end_is_refused():
 def test_numbers_of_numpy_are_numbers():
     assert Camera(width=np.int64(320), fx=np.float32(300.0)).width == 320
     check_types("x", Camera())
-    assert TrackerSettings(few=np.int32(3), min_birth_q=2).few == 3
+    assert TrackerSettings(min_rocks_in_view=np.int32(3), min_birth_q=2).min_rocks_in_view == 3
 
 
 def test_models_of_shadows_refuse_what_is_no_sun_and_no_shape():
@@ -98,7 +98,7 @@ def test_distortion_that_can_be_taken_out_is_taken():
 
 
 @pytest.mark.parametrize(
-    ("told", "name"),
+    ("changes", "name"),
     [
         ({"sun": {"elevation_deg": 1.9}}, "sun.elevation_deg"),
         ({"sun": {"elevation_deg": 80.5}}, "sun.elevation_deg"),
@@ -108,10 +108,10 @@ def test_distortion_that_can_be_taken_out_is_taken():
         ({"sensors": {"camera": {"read_noise_electrons": 1e300}}}, "read_noise_electrons"),
     ],
 )
-def test_a_scenario_that_no_flight_could_begin_with_is_refused_before(told, name):
+def test_a_scenario_that_no_flight_could_begin_with_is_refused_before(changes, name):
     scenario = Scenario.load(ROOT / "scenarios" / "shadow_modified.toml")
     with pytest.raises(InputError, match=name.replace(".", r"\.")):
-        scenario.changed(**told)
+        scenario.changed(**changes)
 
 
 def test_nothing_that_a_sensor_gives_raises():

@@ -184,7 +184,7 @@ def sample_sites(
     flight, rng
         Index of the flight, and random generator.
     """
-    grid = evidence.level.grid
+    grid = evidence.horizontal_plane.grid
     xy = grid.centres() - np.asarray(error)[:2]
     sites = np.flatnonzero(evidence.observed & truth.is_known_at(xy))
     where = np.zeros(grid.shape, np.bool_)

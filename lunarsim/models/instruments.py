@@ -46,11 +46,11 @@ class LidarInstrument(PointedInstrument):
 
     Attributes
     ----------
-    range_bias
+    range_bias_sigma
         Standard deviation of the bias of all ranges, m.
-    boresight
+    boresight_sigma
         Standard deviation of the misalignment between sensor and gimbal encoders, per axis, rad.
-    latency
+    latency_sigma
         Standard deviation of the error of a flash's time stamp, s.
     pixel
         Angle of a pixel at the image centre, rad.
@@ -62,9 +62,9 @@ class LidarInstrument(PointedInstrument):
         Maximum angle between ray and surface normal with a return, rad.
     """
 
-    range_bias: float = 0.0
-    boresight: float = 0.0
-    latency: float = 0.0
+    range_bias_sigma: float = 0.0
+    boresight_sigma: float = 0.0
+    latency_sigma: float = 0.0
     pixel: float = 0.1 / 128.0
     tan_half_fov: float = 0.1
     max_range: float = 2000.0
@@ -107,14 +107,14 @@ class VelocimeterInstrument:
     ----------
     directions
         Unit vectors (n, 3), body axes.
-    speed_bias
+    speed_bias_sigma
         Standard deviation of each beam's speed bias at the start, m/s.
     speed_bias_walk
         Standard deviation of the change of the speed bias in one second, m/s.
     """
 
     directions: tuple[tuple[float, float, float], ...]
-    speed_bias: float = 0.0
+    speed_bias_sigma: float = 0.0
     speed_bias_walk: float = 0.0
 
 

@@ -143,7 +143,7 @@ class SiteEvaluator:
         the result is always True.
         """
         window = self.briefing.software.designation_window
-        return window is None or bool(window.sees(estimate, site))
+        return window is None or bool(window.is_visible(estimate, site))
 
     def _cost_of_visible(self, sites: Array, estimate: Estimate) -> DivertCost:
         """Return the divert cost of sites (n, 3), m; infinite for sites not visible.
@@ -154,7 +154,7 @@ class SiteEvaluator:
         cost, window = self.cost_of(sites, estimate), self.briefing.software.designation_window
         if window is None:
             return cost
-        seen = window.sees(estimate, sites)
+        seen = window.is_visible(estimate, sites)
         return replace(
             cost,
             propellant=np.where(seen, cost.propellant, np.inf),

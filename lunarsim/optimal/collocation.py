@@ -19,7 +19,7 @@ from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.final_time import minimum_effort_time
 from lunarsim.optimal.problem import Descent
 from lunarsim.optimal.units import Units
-from lunarsim.optimal.validation import count, is_number
+from lunarsim.optimal.validation import check_count, is_number
 from lunarsim.typing import Array
 
 _Row = tuple[Any, Any, Any]  # a constraint expression and its bounds
@@ -90,8 +90,8 @@ def collocate(
         If IPOPT does not converge.
     """
     intervals, max_iterations = (
-        count("intervals", intervals, 2),
-        count("max_iterations", max_iterations, 0),
+        check_count("intervals", intervals, 2),
+        check_count("max_iterations", max_iterations, 0),
     )
     for name, other in (
         ("region", 0.0),
@@ -230,7 +230,7 @@ def _glideslope_constraint(descent: Descent, units: Units, state: Any) -> _Row:
     The constraint is (expression, lower bound, upper bound).
     """
     horizontal = casadi.sqrt(state[0] ** 2 + state[1] ** 2 + 1e-10)
-    up = state[2] + descent.drop / units.length
+    up = state[2] + descent.apex_depth / units.length
     return up - np.tan(descent.glideslope or 0.0) * horizontal, 0.0, np.inf
 
 

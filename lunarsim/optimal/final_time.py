@@ -229,7 +229,7 @@ def _search_from_landing_error(
     If propellant is scarce, few final times are feasible; the landing error leads to them. Raise
     InfeasibleError if no path is found.
     """
-    near = nearest(planner, descent, half_spaces=half_spaces)
+    near = search_nearest_end(planner, descent, half_spaces=half_spaces)
     if near is not None and near.miss < max(10.0 * _LANDING_ERROR_TOLERANCE_M, descent.region):
         first = iter((near.duration, 1.01 * near.duration, 0.99 * near.duration))
         path = search_near(planner, descent, first, half_spaces=half_spaces, log_mass=near.log_mass)
@@ -352,7 +352,7 @@ def search_near(
     return best and replace(best, curvature=search.curvature, converged=converged)
 
 
-def nearest(
+def search_nearest_end(
     planner: Planner, descent: Descent, half_spaces: HalfSpaces | None = None
 ) -> OptimalPath | None:
     """Return the path that ends nearest to the target; None if no landing is possible.
@@ -407,7 +407,7 @@ def minimize_landing_error(planner: Planner, descent: Descent) -> OptimalPath | 
     constraint moves with the end of the path. The result is None if no landing is possible at the
     height of the target.
     """
-    near = nearest(planner, descent)
+    near = search_nearest_end(planner, descent)
     if near is None:
         return None
     disc = replace(descent, region=near.miss * (1.0 + 1e-3) + 0.1)

@@ -25,12 +25,12 @@ class OptimalPath:
         Position and velocity at the nodes (N + 1, 3), ENU, m and m/s.
     mass
         Mass at the nodes (N + 1,), kg.
-    thrust
+    thrust_acceleration
         Thrust over mass in each interval (N, 3), m/s^2.
     bound
-        Relaxed magnitude of the thrust over mass (N,), m/s^2; equal to the magnitude of `thrust` if
-        the relaxation is lossless.
-    increment
+        Relaxed magnitude of the thrust over mass (N,), m/s^2; equal to the magnitude of
+        `thrust_acceleration` if the relaxation is lossless.
+    delta_v
         Delta-v: integral of `bound`, m/s.
     cost
         Minimised quantity: delta-v plus penalty on thrust slack, m/s, or the landing error, m.
@@ -60,9 +60,9 @@ class OptimalPath:
     position: Array
     velocity: Array
     mass: Array
-    thrust: Array
+    thrust_acceleration: Array
     bound: Array
-    increment: float
+    delta_v: float
     cost: float
     slope: float
     hamiltonian: Array
@@ -92,7 +92,7 @@ class OptimalPath:
     @property
     def propellant(self) -> float:
         """Propellant used, kg."""
-        return self.descent.propellant_used(self.increment)
+        return self.descent.propellant_used(self.delta_v)
 
     @property
     def miss(self) -> float:
@@ -108,7 +108,7 @@ class OptimalPath:
     @property
     def forces(self) -> Array:
         """Thrust magnitude at the interval centres (N,), newtons."""
-        size = np.linalg.norm(self.thrust, axis=1)
+        size = np.linalg.norm(self.thrust_acceleration, axis=1)
         return np.asarray(self.descent.mass * np.exp(self.log_mass) * size)
 
     @property
@@ -117,7 +117,7 @@ class OptimalPath:
 
         The excess is 0 if the convex relaxation is lossless.
         """
-        size = np.linalg.norm(self.thrust, axis=1)
+        size = np.linalg.norm(self.thrust_acceleration, axis=1)
         return float((self.bound / np.maximum(size, 1e-12)).max() - 1.0)
 
     @property
@@ -138,7 +138,7 @@ class OptimalPath:
         t = np.asarray(t, dtype=np.float64)
         k = np.clip((t / self.step).astype(np.int64), 0, self.intervals - 1)
         left = (t - k * self.step)[..., None]
-        push = self.thrust[k]
+        push = self.thrust_acceleration[k]
         a = push - np.array([0.0, 0.0, self.descent.gravity])
         v = self.velocity[k] + left * a
         return self.position[k] + left * (self.velocity[k] + 0.5 * left * a), v, push

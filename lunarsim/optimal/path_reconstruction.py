@@ -44,7 +44,9 @@ def build_path(
     nodes = solution.x[: 7 * (n + 1)].reshape(n + 1, 7)
     speed = units.length / units.time
     velocity = nodes[:, 3:6] * speed
-    thrust = np.diff(velocity, axis=0) * (n / duration) + np.array([0.0, 0.0, descent.gravity])
+    thrust_acceleration = np.diff(velocity, axis=0) * (n / duration) + np.array(
+        [0.0, 0.0, descent.gravity]
+    )
     spent = -np.diff(nodes[:, 6]) * speed
     s, z = transcription.rows["thrust"], solution.z
     # The unit of the landing error is a length, that of delta-v a speed.
@@ -58,9 +60,9 @@ def build_path(
         position=descent.end_position + nodes[:, :3] * units.length,
         velocity=velocity,
         mass=descent.mass * np.exp(nodes[:, 6] * units.kappa),
-        thrust=thrust,
+        thrust_acceleration=thrust_acceleration,
         bound=spent * n / duration,
-        increment=float(-nodes[-1, 6] * speed),
+        delta_v=float(-nodes[-1, 6] * speed),
         cost=float(program.c @ solution.x) * unit,
         slope=float(lengths.mean()),
         hamiltonian=-lengths,

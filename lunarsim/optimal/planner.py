@@ -14,7 +14,7 @@ from lunarsim.optimal.path import OptimalPath
 from lunarsim.optimal.path_reconstruction import build_path
 from lunarsim.optimal.problem import Descent
 from lunarsim.optimal.transcription import HalfSpaces, ProgramStructure, Transcription
-from lunarsim.optimal.validation import LARGEST, count, is_number, numbers
+from lunarsim.optimal.validation import LARGEST, check_count, check_numbers, is_number
 from lunarsim.typing import Array
 
 # exp(-z) is linearised: a relative mass error of this size causes a thrust error of 2e-4.
@@ -53,7 +53,7 @@ class Planner:
     """
 
     def __init__(self, intervals: int = 40, solver: type[ConeSolver] = FallbackSolver) -> None:
-        self.intervals = count("intervals", intervals, 4)
+        self.intervals = check_count("intervals", intervals, 4)
         self.solves = self.iterations = 0
         self._solver = solver
         self._programs: dict[ProgramStructure, tuple[Transcription, ConeSolver]] = {}
@@ -111,7 +111,7 @@ class Planner:
             log_mass = self._guess_log_mass(descent, duration)
         else:
             expected = f"must be {self.intervals} finite numbers, one per interval"
-            log_mass = numbers("log_mass", log_mass, (self.intervals,), expected)
+            log_mass = check_numbers("log_mass", log_mass, (self.intervals,), expected)
         path = self._solve(descent, duration, log_mass, half_spaces, nearest)
         if path is not None and np.abs(path.log_mass - log_mass).max() > _MAX_LOG_MASS_ERROR:
             again = self._solve(descent, duration, path.log_mass, half_spaces, nearest)

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from lunarsim.errors import InputError
-from lunarsim.optimal.validation import LARGEST, is_number, numbers
+from lunarsim.optimal.validation import LARGEST, check_numbers, is_number
 from lunarsim.typing import Array
 
 
 @dataclass(frozen=True)
 class Cone:
-    """Cone of half-spaces above a path's end: ``normals @ (r - end) >= -drop``.
+    """Cone of half-spaces above a path's end: ``normals @ (r - end) >= -apex_depth``.
 
     The first and the last interval are exempt: the start may be below a majorant of terrain.
 
@@ -21,7 +21,7 @@ class Cone:
     ----------
     normals
         Upward normals of the half-spaces (n, 3), dimensionless.
-    drop
+    apex_depth
         Depth of the apex below the end, m; 0 or more.
 
     Raises
@@ -31,16 +31,20 @@ class Cone:
     """
 
     normals: Array
-    drop: float = 0.0
+    apex_depth: float = 0.0
 
     def __post_init__(self) -> None:
         expected = "must be an array of one or more normals, shape (n, 3)"
         rows = len(self.normals) if np.ndim(self.normals) == 2 else 0
-        object.__setattr__(self, "normals", numbers("cone", self.normals, (rows, 3), expected))
+        object.__setattr__(
+            self, "normals", check_numbers("cone", self.normals, (rows, 3), expected)
+        )
         if rows == 0:
             raise InputError("optimal.cone", self.normals, expected)
-        if not (is_number(self.drop) and self.drop >= 0.0):
-            raise InputError("optimal.cone.drop", self.drop, "must be a finite number of 0 or more")
+        if not (is_number(self.apex_depth) and self.apex_depth >= 0.0):
+            raise InputError(
+                "optimal.cone.apex_depth", self.apex_depth, "must be a finite number of 0 or more"
+            )
 
 
 @dataclass(frozen=True)
@@ -70,7 +74,7 @@ class Descent:
         needs time to turn upright. None: `max_tilt` to the end.
     glideslope
         Minimum angle of the path above the horizontal, seen from its end, rad; None: no limit.
-    drop
+    apex_depth
         Depth of the apex of the glideslope cone below the end, m.
     cone
         Additional half-spaces over the end (a majorant of the terrain); None: none.
@@ -100,7 +104,7 @@ class Descent:
     dry_mass: float
     max_tilt: float | None = None
     glideslope: float | None = None
-    drop: float = 0.0
+    apex_depth: float = 0.0
     cone: Cone | None = None
     region: float = 0.0
     max_final_tilt: float | None = None
@@ -110,7 +114,7 @@ class Descent:
 
     def __post_init__(self) -> None:
         for name in ("position", "velocity", "end_position", "end_velocity"):
-            value = numbers(name, getattr(self, name), (3,), "must be three finite numbers")
+            value = check_numbers(name, getattr(self, name), (3,), "must be three finite numbers")
             for i, component in enumerate(value):
                 if abs(component) > LARGEST:
                     raise InputError(
@@ -126,7 +130,7 @@ class Descent:
                 )
         for name in (
             "thrust_min",
-            "drop",
+            "apex_depth",
             "region",
             "thrust_slack",
             "thrust_slack_penalty",
@@ -174,7 +178,7 @@ class Descent:
             return False
         gap, slack = self.displacement, 1e-9 * (1.0 + float(np.linalg.norm(self.displacement)))
         horizontal = max(float(np.hypot(gap[0], gap[1])) - self.region, 0.0)
-        return bool(gap[2] + self.drop < np.tan(self.glideslope) * horizontal - slack)
+        return bool(gap[2] + self.apex_depth < np.tan(self.glideslope) * horizontal - slack)
 
     def tilts(self, times_to_go: Array) -> Array | None:
         """Return the maximum tilts of the thrust (n,), rad, for times-to-go.
@@ -194,6 +198,6 @@ class Descent:
         """Delta-v until the mass reaches `dry_mass`, m/s."""
         return float(self.exhaust_velocity * np.log(self.mass / self.dry_mass))
 
-    def propellant_used(self, increment: float) -> float:
-        """Return the propellant (kg) consumed by a delta-v `increment` (m/s)."""
-        return float(self.mass * -np.expm1(-increment / self.exhaust_velocity))
+    def propellant_used(self, delta_v: float) -> float:
+        """Return the propellant (kg) consumed by a delta-v (m/s)."""
+        return float(self.mass * -np.expm1(-delta_v / self.exhaust_velocity))

@@ -22,7 +22,7 @@ from lunarsim.optimal.path import OptimalPath
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Cone, Descent
 from lunarsim.optimal.transcription import HalfSpaces
-from lunarsim.optimal.validation import count, is_number, numbers
+from lunarsim.optimal.validation import check_count, check_numbers, is_number
 from lunarsim.typing import Array
 
 _ACTIVE_MULTIPLIER = 1e-4  # relative multiplier of a half-space below which it costs no propellant
@@ -112,8 +112,8 @@ class TerrainRaster:
             If the end is not a position, there are fewer than 3 sectors (each must be narrower than
             180 deg), or the clearance is invalid.
         """
-        sectors = count("sectors", sectors, 3)
-        end = numbers("end_position", end, (3,), "must be three finite numbers")
+        sectors = check_count("sectors", sectors, 3)
+        end = check_numbers("end_position", end, (3,), "must be three finite numbers")
         _check_clearance(clearance)
         offsets = self.posts - end
         distance = np.hypot(offsets[:, 0], offsets[:, 1])
@@ -231,7 +231,7 @@ def minimize_propellant_over_terrain(
     if not isinstance(terrain, TerrainRaster):
         raise InputError("optimal.terrain", type(terrain), "must be a TerrainRaster")
     _check_clearance(clearance)
-    rounds, sectors = count("rounds", rounds, 1), count("sectors", sectors, 3)
+    rounds, sectors = check_count("rounds", rounds, 1), check_count("sectors", sectors, 3)
     _check_ends(descent, terrain, clearance)
     majorant_path, best = None, None
     try:
@@ -251,7 +251,7 @@ def minimize_propellant_over_terrain(
     for start in starts:
         is_last = best is None and start is starts[-1]
         found = _linearise_terrain(planner, descent, terrain, clearance, start, rounds, is_last)
-        if best is None or (found is not None and found.increment < best.increment):
+        if best is None or (found is not None and found.delta_v < best.delta_v):
             best = found
     if best is None:
         raise SolverError(
@@ -335,9 +335,9 @@ def _linearise_terrain(
             if is_last and best is None:
                 raise
             return best
-        converged = abs(found.increment - path.increment) < _CONVERGED_CHANGE * path.increment
+        converged = abs(found.delta_v - path.delta_v) < _CONVERGED_CHANGE * path.delta_v
         is_above = above > clearance - 1e-3
-        if is_above and (best is None or found.increment < best.increment):
+        if is_above and (best is None or found.delta_v < best.delta_v):
             best = found
         if converged and is_above:
             return best

@@ -26,7 +26,7 @@ from scipy import sparse
 from lunarsim.errors import InputError
 from lunarsim.optimal.cone_program import Program
 from lunarsim.optimal.problem import Descent
-from lunarsim.optimal.validation import numbers
+from lunarsim.optimal.validation import check_numbers
 from lunarsim.typing import Array, IntArray
 
 Indices = IntArray
@@ -102,7 +102,7 @@ class HalfSpaces:
         for name, wanted in (("normals", (*shape[:2], 3)), ("offsets", shape[:2])):
             expected = "must have normals of shape (intervals, planes, 3) and offsets of shape "
             expected += "(intervals, planes)"
-            found = numbers(f"half_spaces.{name}", getattr(self, name), wanted, expected)
+            found = check_numbers(f"half_spaces.{name}", getattr(self, name), wanted, expected)
             object.__setattr__(self, name, found)
 
     @classmethod
@@ -111,7 +111,7 @@ class HalfSpaces:
         if descent.cone is None:
             return None
         normals = np.broadcast_to(descent.cone.normals, (intervals, *descent.cone.normals.shape))
-        return cls(normals, np.full(normals.shape[:2], -descent.cone.drop))
+        return cls(normals, np.full(normals.shape[:2], -descent.cone.apex_depth))
 
 
 @dataclass(frozen=True)
@@ -321,7 +321,7 @@ class Transcription:
         s, n = self.structure, self.structure.intervals
         out = self._thrust_bounds(descent, units, log_mass)
         weight = descent.gravity * units.time**2 / units.length / n
-        drop = descent.drop / units.length
+        apex_depth = descent.apex_depth / units.length
         if s.tilt:
             # At interval centres, where thrust is bounded too.
             tilts = descent.tilts(units.time * (1.0 - (np.arange(n) + 0.5) / n))
@@ -348,10 +348,10 @@ class Transcription:
             tan = np.tan(descent.glideslope if descent.glideslope is not None else 0.0)
             count = len(self.inner)
             row = self._control_point_entries(np.array([[-1.0], [-tan], [-tan]]))
-            out["glideslope"] = np.tile(row, (count, 1)), np.tile([drop, 0.0, 0.0], count)
+            out["glideslope"] = np.tile(row, (count, 1)), np.tile([apex_depth, 0.0, 0.0], count)
             if s.free:
                 start = np.array([[-1.0, 1.0], [-tan, tan], [-tan, tan]])
-                out["start"] = start, np.array([drop, 0.0, 0.0])
+                out["start"] = start, np.array([apex_depth, 0.0, 0.0])
         return out
 
     def _control_point_entries(self, coefficients: Array) -> Array:

@@ -19,7 +19,7 @@ def is_number(value: Any) -> bool:
     return real and bool(np.isfinite(float(value)))
 
 
-def count(name: str, value: Any, minimum: int) -> int:
+def check_count(name: str, value: Any, minimum: int) -> int:
     """Return a value as an integer of at least `minimum`, after checking it.
 
     `name` is the parameter of `lunarsim.optimal` that an error names.
@@ -34,7 +34,7 @@ def count(name: str, value: Any, minimum: int) -> int:
     return int(value)
 
 
-def numbers(name: str, value: Any, shape: tuple[int, ...], expected: str) -> Array:
+def check_numbers(name: str, value: Any, shape: tuple[int, ...], expected: str) -> Array:
     """Return an array of finite real numbers of a given shape.
 
     `name` is the parameter of `lunarsim.optimal` that an error names.

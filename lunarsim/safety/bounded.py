@@ -69,7 +69,7 @@ def bounded_safety(
     observed = rise < k.FAR
     tangent, roughness = (np.empty(grid.shape, np.float32) for _ in range(2))
     pk.bounded(
-        height.double,
+        height.z_float64,
         height.middle,
         footprint.cells,
         footprint.covers(block),

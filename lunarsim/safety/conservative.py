@@ -126,7 +126,7 @@ def stochastic_safety(
     observed = np.empty(grid.shape, np.bool_)
     ratio = np.sin(lander.slope_limit) if slope_bound == "sin" else np.tan(lander.slope_limit)
     k.stochastic(
-        height.double,
+        height.z_float64,
         height.middle,
         spread,
         footprint.cells,

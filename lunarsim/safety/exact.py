@@ -139,7 +139,7 @@ def height_differences(height: ElevationRaster, footprint: Footprint) -> tuple[F
     minimum over L. Both are `FAR` where the footprint contains unknown terrain or leaves the map.
     """
     span, rise = np.empty(height.z.shape, np.float32), np.empty(height.z.shape, np.float32)
-    k.footprint_extremes(height.double, height.middle, footprint.cells, span, rise)
+    k.footprint_extremes(height.z_float64, height.middle, footprint.cells, span, rise)
     return span, rise
 
 
@@ -160,7 +160,7 @@ def _evaluate(
     limit = np.float32(lander.roughness_limit)
     tangent, roughness = (np.full(selected.shape, np.nan, np.float32) for _ in range(2))
     ek.exact(
-        height.double,
+        height.z_float64,
         height.middle,
         selected,
         footprint.cells,

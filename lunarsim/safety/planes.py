@@ -60,7 +60,7 @@ def plane_stochastic_safety(
     level = stochastic_safety(mean, variance, grid, lander)
     tangent, nominal, raised, leg = (np.empty(grid.shape, np.float32) for _ in range(4))
     pk.stochastic_planes(
-        height.double,
+        height.z_float64,
         height.middle,
         prepare_variance(variance, grid, footprint),
         footprint.cells,

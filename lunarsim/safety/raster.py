@@ -44,7 +44,7 @@ class ElevationRaster:
     middle: float
 
     @property
-    def double(self) -> Array:
+    def z_float64(self) -> Array:
         """Elevation as float64 (rows, cols), m, for kernels compiled only for this type."""
         return self.z.astype(np.float64, copy=False)
 

@@ -53,7 +53,7 @@ def min_tilt_limit_rock_height(slope: Array, lander: Lander) -> Array:
     return np.asarray((1.0 - slope) * np.tan(lander.slope_limit) * span * lander.leg_radius)
 
 
-def tilt_of(height: Array, lander: Lander) -> Array:
+def tilt_tangent(height: Array, lander: Lander) -> Array:
     """Return the tangent of a lander's tilt on flat terrain with one pad raised (...).
 
     `height` (...) is how far the pad is raised, m.

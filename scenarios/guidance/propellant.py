@@ -120,10 +120,10 @@ def fly(case: Case) -> dict[str, Any]:
 
     The row has, in kg, the minimum propellant to the end of the approach ("optimum"), that of a
     steady vertical descent after it ("descent"), and the propellant used to the end of the approach
-    ("approach") and to touchdown ("whole"), with their excess in percent. "miss" and "speed" are
+    ("approach") and to touchdown ("total"), with their excess in percent. "miss" and "speed" are
     the errors of position (navigation frame) and velocity at the end of the approach, m and m/s.
-    "asked" and "infeasible" count the evaluations of the law's neural network, and those of its
-    outputs that violate the limits of the law.
+    "network_evaluations" and "infeasible" count the evaluations of the law's neural network, and
+    those of its outputs that violate the limits of the law.
     """
     sigmas = case["position_sigma"], case["velocity_sigma"]
     optimum = minimum_propellant(case.number, case.seed, *sigmas)
@@ -138,16 +138,17 @@ def fly(case: Case) -> dict[str, Any]:
         flight.step()
     outcome, law = flight.outcome, computer.guidance
     descent = _vertical_descent_propellant(computer.briefing, wet - optimum)
-    approach, whole = wet - at_end.mass, wet - flight.state.mass
+    approach, total = wet - at_end.mass, wet - flight.state.mass
     return {
-        "optimum": optimum, "descent": descent, "approach": approach, "whole": whole,
+        "optimum": optimum, "descent": descent, "approach": approach, "total": total,
         "excess_to_approach_end": 100.0 * (approach / optimum - 1.0),
-        "excess_to_touchdown": 100.0 * (whole / (optimum + descent) - 1.0),
+        "excess_to_touchdown": 100.0 * (total / (optimum + descent) - 1.0),
         "miss": float(np.linalg.norm(estimate.position - end.position)),
         "speed": float(np.linalg.norm(at_end.velocity - end.velocity)),
         "safe": bool(outcome.safe), "failed": " ".join(outcome.failure_causes),
         "fallbacks": sum(name == "guidance-fallback" for _, name, _ in computer.telemetry),
-        "plans": int(getattr(law, "plans", 0)), "asked": int(getattr(law, "evaluation_count", 0)),
+        "plans": int(getattr(law, "plans", 0)),
+        "network_evaluations": int(getattr(law, "evaluation_count", 0)),
         "infeasible": int(getattr(law, "violation_count", 0)),
     }  # fmt: skip
 
@@ -156,9 +157,10 @@ def print_propellant(report: Report) -> None:
     """Print propellant and terminal errors by guidance law, then the unsafe landings."""
     report.print(metric_table(report, "Propellant of guidance laws relative to the optimum"))
     for (law,), rows in report.groups("law").items():
-        asked, infeasible = (sum(row[name] for row in rows) for name in ("asked", "infeasible"))
-        if asked:
-            report.print(f"{law}: infeasible network outputs: {infeasible} of {asked:,}")
+        evaluations = sum(row["network_evaluations"] for row in rows)
+        infeasible = sum(row["infeasible"] for row in rows)
+        if evaluations:
+            report.print(f"{law}: infeasible network outputs: {infeasible} of {evaluations:,}")
     for row in report.rows:
         if not row["safe"]:
             report.print(f"{row['law']}, flight {row['number']}: {row['failed']}")
@@ -178,7 +180,7 @@ study = Study(
         "excess_to_touchdown": Metric(
             "excess to touchdown (%)\nmedian / 95th pct. / max", "median-p95-max", 2
         ),
-        "whole": Metric("propellant (kg)\nmedian / 95th pct.", "median-p95", 1),
+        "total": Metric("propellant (kg)\nmedian / 95th pct.", "median-p95", 1),
         "miss": Metric("position error (m)\nmedian / 95th pct.", "median-p95", 2),
         "speed": Metric("velocity error (m/s)\nmedian / 95th pct.", "median-p95", 2),
         "fallbacks": Metric("flights with\nfallbacks", "count"),

@@ -173,7 +173,7 @@ def solve_shard(task: DescentShardTask) -> dict[str, Array]:
             failed += 1
             continue
         seen.append(np.column_stack((path.position, path.velocity, path.mass)))
-        done.append(path.thrust)
+        done.append(path.thrust_acceleration)
         times.append(path.duration)
         spent.append(path.propellant)
     return {

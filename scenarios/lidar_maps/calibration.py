@@ -80,8 +80,8 @@ class PooledSites:
     observed_terrain_bound: np.ndarray
     outside_domain_bound: np.ndarray
     slope: np.ndarray
-    doomed: np.ndarray
-    cover: np.ndarray
+    may_be_claimed_unsafe: np.ndarray
+    rough_fraction: np.ndarray
     safe: np.ndarray
 
     @classmethod
@@ -95,11 +95,11 @@ class PooledSites:
                 "observed_terrain_bound",
                 "outside_domain_bound",
                 "slope",
-                "doomed",
+                "may_be_claimed_unsafe",
             )
         ]
-        cover = np.concatenate([np.full(len(j.safe), j.cover) for j in evaluated])
-        return cls(*columns, cover, np.concatenate([j.safe for j in evaluated]))
+        rough_fraction = np.concatenate([np.full(len(j.safe), j.rough_fraction) for j in evaluated])
+        return cls(*columns, rough_fraction, np.concatenate([j.safe for j in evaluated]))
 
 
 def fit_model(
@@ -141,7 +141,7 @@ def predict_safety(
         regression.outside_margin,
     )
     return p, sites.known & odds.estimate(
-        sites.observed_terrain_bound, regression.max_unsafe_p, sites.doomed
+        sites.observed_terrain_bound, regression.max_unsafe_p, sites.may_be_claimed_unsafe
     ).agreed
 
 
@@ -215,7 +215,7 @@ def worst_stratum(
     k = is_calibrated
     for i in range(len(SLOPES) - 1):
         for j in range(len(COVERS) - 1):
-            s, c = sites.slope[k], sites.cover[k]
+            s, c = sites.slope[k], sites.rough_fraction[k]
             inside = (s >= SLOPES[i]) & (s < SLOPES[i + 1])
             inside &= (c >= COVERS[j]) & (c < COVERS[j + 1])
             safe = sites.safe[k][inside]

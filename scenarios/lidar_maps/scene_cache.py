@@ -28,10 +28,10 @@ class SceneSites:
 
     `features` (n, features) are the inputs of the calibrated probability, `known` (n,) whether a
     site is in its domain. `observed_terrain_bound` (n,) is an upper bound of p_safe everywhere,
-    `outside_domain_bound` (n,) only outside the domain. Only sites with `doomed` (n,) may be
-    classified as certainly unsafe. `slope` (n,), the nominal slope over its limit, and `cover`, the
-    estimated fraction of terrain above the roughness limit, select the stratum; `safe` (n,) is the
-    truth.
+    `outside_domain_bound` (n,) only outside the domain. Only sites with `may_be_claimed_unsafe`
+    (n,) may be classified as certainly unsafe. `slope` (n,), the nominal slope over its limit, and
+    `rough_fraction`, the estimated fraction of terrain above the roughness limit, select the
+    stratum; `safe` (n,) is the truth.
     """
 
     scene: LidarScene
@@ -40,8 +40,8 @@ class SceneSites:
     observed_terrain_bound: np.ndarray
     outside_domain_bound: np.ndarray
     slope: np.ndarray
-    doomed: np.ndarray
-    cover: float
+    may_be_claimed_unsafe: np.ndarray
+    rough_fraction: float
     safe: np.ndarray
 
     @classmethod
@@ -72,9 +72,11 @@ ARRAYS = (
     "observed_terrain_bound",
     "outside_domain_bound",
     "slope",
-    "doomed",
+    "may_be_claimed_unsafe",
     "safe",
 )
+# Keys of the file that differ from the attributes; `rough_fraction` has the key "cover".
+_KEYS = {"may_be_claimed_unsafe": "doomed"}
 
 
 def load_or_evaluate(
@@ -102,7 +104,7 @@ def load_or_evaluate(
     if [j.scene for j in evaluated] != scenes:
         raise click.ClickException(f"{file} holds other scenes. Delete it or choose another file.")
     first = evaluate(scenes[0])
-    same = first.cover == evaluated[0].cover and all(
+    same = first.rough_fraction == evaluated[0].rough_fraction and all(
         np.array_equal(getattr(first, name), getattr(evaluated[0], name), equal_nan=True)
         for name in ARRAYS
     )
@@ -116,7 +118,10 @@ def load_or_evaluate(
 
 def _save(evaluated: list[SceneSites], file: Path) -> None:
     """Write evaluated scenes to a compressed NumPy file."""
-    columns = {name: np.concatenate([getattr(j, name) for j in evaluated]) for name in ARRAYS}
+    columns = {
+        _KEYS.get(name, name): np.concatenate([getattr(j, name) for j in evaluated])
+        for name in ARRAYS
+    }
     count = np.array([len(j.safe) for j in evaluated])
     scenes = json.dumps([asdict(j.scene) for j in evaluated])
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -124,7 +129,11 @@ def _save(evaluated: list[SceneSites], file: Path) -> None:
     def write(part: Path) -> None:
         with part.open("wb") as opened:
             np.savez_compressed(
-                opened, count=count, cover=[j.cover for j in evaluated], scenes=scenes, **columns
+                opened,
+                count=count,
+                cover=[j.rough_fraction for j in evaluated],
+                scenes=scenes,
+                **columns,
             )
 
     atomic_write(file, write)
@@ -136,7 +145,7 @@ def _load(file: Path) -> list[SceneSites]:
         with np.load(file) as data:
             scenes = [LidarScene(**scene) for scene in json.loads(str(data["scenes"]))]
             ends = np.cumsum(data["count"])[:-1]
-            columns = [np.split(data[name], ends) for name in ARRAYS]
+            columns = [np.split(data[_KEYS.get(name, name)], ends) for name in ARRAYS]
             covers = [float(cover) for cover in data["cover"]]
     except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
         raise click.ClickException(f"{file} is not a file of scenes ({error})") from None

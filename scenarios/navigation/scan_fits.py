@@ -91,7 +91,7 @@ def simulate_scan(world, rng: np.random.Generator, error: np.ndarray) -> Correct
     attitude = quat_multiply(UPRIGHT, quat_from_rotation_vector(-error[3:6]))
     seen = CorrectedScan(scan, position - error[:3], attitude, np.zeros(3), np.zeros(3))
     # The scanner error has the opposite sign.
-    return seen.moved(np.concatenate((np.zeros(6), -error[6:10], [0.0])))
+    return seen.corrected_by(np.concatenate((np.zeros(6), -error[6:10], [0.0])))
 
 
 def evaluate_fit(scan, error, sigmas, result, accepted, posting):  # type: ignore[no-untyped-def]

@@ -20,12 +20,12 @@ def draw_all(result: dict[str, Any], out: Path) -> None:
 
     `result` is the result of one sweep by `hazard_field.fly_field` with its maps.
     """
-    last = result["looks"][-1]
+    last = result["evaluations"][-1]
     draw_mapping(last, out / "mapping.png")
     draw_slopes(last, out / "slopes.png")
     draw_hazards(last, out / "hazards.png")
-    draw_quadtrees(result["looks"], out / "quadtree.png")
-    draw_sites(result["looks"], out / "sites.png")
+    draw_quadtrees(result["evaluations"], out / "quadtree.png")
+    draw_sites(result["evaluations"], out / "sites.png")
     draw_choice(last, out / "choice.png")
     draw_navigation(result, out / "navigation.png")
 

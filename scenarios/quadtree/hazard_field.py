@@ -80,8 +80,8 @@ def fly(case: Case) -> dict[str, Any]:
     They are those of `fly_field`, without the arrays for figures.
     """
     found = fly_field(case.number, case.seed)
-    looks = [{k: v for k, v in one.items() if k != "maps"} for one in found["looks"]]
-    return {k: v for k, v in found.items() if k != "track"} | {"looks": looks}
+    evaluations = [{k: v for k, v in one.items() if k != "maps"} for one in found["evaluations"]]
+    return {k: v for k, v in found.items() if k != "track"} | {"evaluations": evaluations}
 
 
 @lru_cache(maxsize=1)
@@ -93,7 +93,7 @@ def fly_field(field: int, seed: int) -> dict[str, Any]:
     with TemporaryDirectory() as folder:
         simulation = make_simulation(field, seed, Path(folder))
     found: Navigator = simulation.computer.navigation
-    pending, looks = list(TIMES), []
+    pending, evaluations = list(TIMES), []
     track: list[tuple[float, ...]] = []
     while pending:
         simulation.step()
@@ -101,7 +101,7 @@ def fly_field(field: int, seed: int) -> dict[str, Any]:
             (simulation.time, *navigation_error(simulation), *navigation_sigmas(simulation))
         )
         if simulation.time >= pending[0] - 1e-9:
-            looks.append(evaluate_map(simulation, pending.pop(0)))
+            evaluations.append(evaluate_map(simulation, pending.pop(0)))
     tree = simulation.computer.mappers["sites"].map
     return {
         "lock": next((e.time for e in found.events if e.name == "lock"), None),
@@ -112,7 +112,7 @@ def fly_field(field: int, seed: int) -> dict[str, Any]:
         "attitude_sigma": list(np.rad2deg(track[-1][10:13])),
         "points": tree.count,
         "megabytes": tree.nbytes / 1e6,
-        "looks": looks,
+        "evaluations": evaluations,
         "track": np.array(track),
     }
 
@@ -208,25 +208,26 @@ def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
         "lock_time_median_s": float(np.median([r["lock"] for r in locked])) if locked else None,
         "position_rms_m": list(np.sqrt(np.mean(position**2, axis=0))),
         "attitude_rms_deg": list(np.sqrt(np.mean(attitude**2, axis=0))),
-        "looks": [],
+        "evaluations": [],
     }
     for k, time in enumerate(TIMES):
-        looks = [r["looks"][k] for r in results]
-        sites = [site for one in looks for site in one["sites"]]
-        total = {key: sum(one[key] for one in looks) for key in
-                 ("judged_m2", "hazard_m2", "missed_m2", "false_m2")}  # fmt: skip
-        objects, wholly = (sum(one[key] for one in looks) for key in ("objects", "objects_missed"))
-        out["looks"].append({
+        evaluations = [r["evaluations"][k] for r in results]
+        sites = [site for one in evaluations for site in one["sites"]]
+        total = {key: sum(one[key] for one in evaluations) for key in
+                 ("evaluated_m2", "hazard_m2", "missed_m2", "false_m2")}  # fmt: skip
+        objects = sum(one["objects"] for one in evaluations)
+        missed = sum(one["objects_missed"] for one in evaluations)
+        out["evaluations"].append({
             "time": time,
-            "map_error_rms": float(np.nanmean([one["map_error_rms"] for one in looks])),
-            "map_error_within": float(np.nanmean([one["map_error_within"] for one in looks])),
-            "slope_error_mean": float(np.nanmean([one["slope_error_mean"] for one in looks])),
-            "slope_error_max": float(np.nanmax([one["slope_error_max"] for one in looks])),
-            **{key: value / len(looks) for key, value in total.items()},
+            "map_error_rms": float(np.nanmean([one["map_error_rms"] for one in evaluations])),
+            "map_error_within": float(np.nanmean([one["map_error_within"] for one in evaluations])),
+            "slope_error_mean": float(np.nanmean([one["slope_error_mean"] for one in evaluations])),
+            "slope_error_max": float(np.nanmax([one["slope_error_max"] for one in evaluations])),
+            **{key: value / len(evaluations) for key, value in total.items()},
             "missed_share": total["missed_m2"] / max(total["hazard_m2"], 1e-9),
-            "objects_missed": f"{wholly} of {objects}",
+            "objects_missed": f"{missed} of {objects}",
             "sites": len(sites),
-            "fields_without_site": sum(not one["sites"] for one in looks),
+            "fields_without_site": sum(not one["sites"] for one in evaluations),
             "zones_with_hazard": sum(site["hazard_m2"] > 0.0 for site in sites),
             "sites_exactly_safe": sum(site["exactly_safe"] for site in sites),
         })  # fmt: skip
@@ -260,7 +261,7 @@ def print_fields(report: Report) -> None:
         ("slope error, mean (deg)", "slope_error_mean", "{:.2f}", ""),
         ("slope error, maximum of all fields (deg)", "slope_error_max", "{:.2f}",
          PAPER["slope error"]),
-        ("evaluated area (m2)", "judged_m2", "{:.0f}", ""),
+        ("evaluated area (m2)", "evaluated_m2", "{:.0f}", ""),
         ("true hazards in it (m2)", "hazard_m2", "{:.1f}", ""),
         ("missed hazards (m2)", "missed_m2", "{:.2f}", PAPER["missed"]),
         ("missed fraction of hazard area", "missed_share", "{:.3f}", ""),
@@ -272,9 +273,9 @@ def print_fields(report: Report) -> None:
         ("sites exactly safe", "sites_exactly_safe", "{:d}", ""),
     )  # fmt: skip
     for label, key, form, paper in rows:
-        table.add_row(label, *(form.format(one[key]) for one in summary["looks"]), paper)
+        table.add_row(label, *(form.format(one[key]) for one in summary["evaluations"]), paper)
     report.print(table)
-    for one in first["looks"]:
+    for one in first["evaluations"]:
         sites = Table(title=f"Field {first['number']}: sites at {one['time']:.0f} s, local frame")
         for heading in ("rank", "east (m)", "north (m)", "score", "interest", "slope (deg)",
                         "roughness (m)", "time-to-go (s)", "delta-v (m/s)",

@@ -152,7 +152,7 @@ def hazard_confusion(
     return {
         "objects": objects,
         "objects_missed": wholly,
-        "judged_m2": quality.evaluated * area,
+        "evaluated_m2": quality.evaluated * area,
         "hazard_m2": (quality.false_safe + quality.rejected) * area,
         "missed_m2": quality.false_safe * area,
         "false_m2": quality.false_unsafe * area,

@@ -136,7 +136,7 @@ def quadtree_errors(
                 count[n] += 1
                 mean[n] += z
                 square[n] += z * z
-    number = tree.number(nodes)
+    number = tree.point_counts(nodes)
     use = (count >= MIN_RETURNS) & (number >= MIN_RETURNS)
     count, number = count[use], number[use]
     mean = mean[use] / count

@@ -138,11 +138,13 @@ def _one_factor_cells() -> list[ShadowCell]:
         replace(HOME, name=f"cover {c:g}", cover=c, expected_cover=c)
         for c in (0.02, 0.03, 0.08, 0.10, 0.15)
     ]
-    cells += [replace(HOME, name=f"cover {c:g} told 0.05", cover=c) for c in (0.02, 0.08, 0.15)]
+    cells += [
+        replace(HOME, name=f"cover {c:g} (expected 0.05)", cover=c) for c in (0.02, 0.08, 0.15)
+    ]
     others = [s for s in SHAPES if s != "cube"]
     cells += [replace(HOME, name=s, shape=s, expected_shape=s) for s in others]
-    cells += [replace(HOME, name=f"{s} told cube", shape=s) for s in others]
-    cells += [replace(HOME, name=f"cube told {s}", expected_shape=s) for s in others]
+    cells += [replace(HOME, name=f"{s} (expected cube)", shape=s) for s in others]
+    cells += [replace(HOME, name=f"cube (expected {s})", expected_shape=s) for s in others]
     cells += [
         replace(HOME, name=f"sun {e:g}", elevation=e) for e in (5.0, 10.0, 15.0, 30.0, 45.0, 60.0)
     ]
@@ -151,14 +153,16 @@ def _one_factor_cells() -> list[ShadowCell]:
     cells += [replace(HOME, name=HIRISE, relief=HIRISE)]
     low_to_high = (0.3, 0.7, 0.85, 1.0)
     cells += [
-        replace(HOME, name=f"height {h:g} told cube", shape="irregular", height=h)
+        replace(HOME, name=f"height {h:g} (expected cube)", shape="irregular", height=h)
         for h in low_to_high
     ]
     return [
         *cells,
         # As measured, see `lunarsim.rocks.field.RockModel`.
-        replace(HOME, name="fragments told cube", shape="irregular", height=0.54, slenderness=0.7),
-        replace(HOME, name="long told cube", shape="ellipsoid", slenderness=0.5),
+        replace(
+            HOME, name="fragments (expected cube)", shape="irregular", height=0.54, slenderness=0.7
+        ),
+        replace(HOME, name="long (expected cube)", shape="ellipsoid", slenderness=0.5),
         replace(HOME, name="rocks from 0.15 m", min_diameter=0.15),
         replace(HOME, name="craters", relief=1.0, craters=0.02),
         replace(ASIDE, name="aside"),

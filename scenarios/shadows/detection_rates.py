@@ -101,7 +101,7 @@ def take_image(world: World, model: ShapeMixture, rng: np.random.Generator) -> d
     level = np.hypot(*away.T)
     azimuth = np.arctan2(away[:, 0], away[:, 1]) - world.light.azimuth
     pixel = np.hypot(level, altitude) / camera.fx
-    q = model.visible_pixels(rocks.a, azimuth, np.arctan2(altitude, level), pixel)
+    q = model.visible_q(rocks.a, azimuth, np.arctan2(altitude, level), pixel)
     view = camera.view(state)
     s = (np.column_stack((xy, np.zeros(len(xy)))) - position) @ view.axes
     uv = view.pinhole.project(s)
@@ -123,7 +123,7 @@ def take_image(world: World, model: ShapeMixture, rng: np.random.Generator) -> d
     # A rock whose patch runs into another one is not detected separately: dark, but not missed.
     unit = model.patch(azimuth, np.arctan2(altitude, level))
     sun = np.array([np.sin(world.light.azimuth), np.cos(world.light.azimuth)])
-    offset = np.stack((unit.along, unit.side), -1) @ np.array([sun, [-sun[1], sun[0]]])
+    offset = np.stack((unit.along, unit.across), -1) @ np.array([sun, [-sun[1], sun[0]]])
     middle = np.column_stack((xy + rocks.a[:, None] * offset, np.zeros(len(xy)))) - position
     s = middle @ view.axes
     u, v = np.rint(view.pinhole.project(s)).T

@@ -216,9 +216,9 @@ study = Study(
             show_default=True, help="Descent path of the shadow EKF paper: nominal or modified.",
         ),
         click.Option(
-            ["--method"], type=click.Choice(tuple(METHODS)), default="own", show_default=True,
-            help="Rock shapes of the mapper; own: inferred from shadows; paper: hemispheres; "
-            "otherwise those that the mission expects.",
+            ["--method"], type=click.Choice(tuple(METHODS)), default="inferred", show_default=True,
+            help="Rock shapes of the mapper; inferred: from the shadows; expected: those "
+            "that the mission expects; paper: hemispheres.",
         ),
     ),
     report=print_cells,

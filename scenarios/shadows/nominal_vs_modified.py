@@ -29,8 +29,8 @@ PATHS = ("nominal", "modified")
 SHAPES = ("hemisphere", "ellipsoid", "cube", "irregular", "mixed")
 # Settings of the shadow mapper.
 METHODS: dict[str, dict[str, str]] = {
-    "own": {},
-    "told": {"shapes": "expected"},
+    "inferred": {},
+    "expected": {"shapes": "expected"},
     "paper": {"shapes": "hemisphere", "cover_model": "gaussian"},
 }
 ALTITUDES = (300.0, 200.0, 100.0, 50.0)
@@ -186,9 +186,9 @@ study = Study(
             help="Rock shape that the mission expects (default: shape in the scenario).",
         ),
         click.Option(
-            ["--method"], type=click.Choice(tuple(METHODS)), default="own", show_default=True,
-            help="Rock shapes of the mapper; own: inferred from shadows; paper: hemispheres; "
-            "otherwise those that the mission expects.",
+            ["--method"], type=click.Choice(tuple(METHODS)), default="inferred", show_default=True,
+            help="Rock shapes of the mapper; inferred: from the shadows; expected: those "
+            "that the mission expects; paper: hemispheres.",
         ),
     ),
     report=report_paths,

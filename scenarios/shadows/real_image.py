@@ -95,8 +95,8 @@ def match_labels(detections: Detections, labels: dict[str, Any]) -> dict[str, An
     hit = np.zeros(len(labelled), bool)
     hit[j[good]] = True
     return {
-        "finds": len(found), "true": int(good.sum()), "labels": len(labelled),
-        "width": labelled[:, 2].astype(int), "hit": hit, "told": labelled, "found": found,
+        "detections": len(found), "true": int(good.sum()), "labels": len(labelled),
+        "width": labelled[:, 2].astype(int), "hit": hit, "labelled": labelled, "found": found,
         "matched": np.isin(np.arange(len(found)), i[good]),
     }  # fmt: skip
 
@@ -126,7 +126,7 @@ def draw(image: np.ndarray, detections: Detections, result: dict[str, Any], wind
     top, left = window["row"], window["column"]
     dark, bright = np.percentile(image[top : top + ends[1], left : left + ends[0]], [0.5, 97])
     part.images[0].set_clim(dark, bright)
-    labelled, hit = result["told"], result["hit"]
+    labelled, hit = result["labelled"], result["hit"]
     part.plot(labelled[hit, 0], labelled[hit, 1], "+", color=COLOURS[2], label="labelled, detected")
     part.plot(labelled[~hit, 0], labelled[~hit, 1], "x", color=COLOURS[1], label="labelled, missed")
     false = result["found"][~result["matched"]]
@@ -160,7 +160,7 @@ def main(json_file: Path | None, out: Path | None) -> None:
     )
     labels = json.loads((DATA / f"{NAME}_labels.json").read_text(encoding="utf-8"))
     result = match_labels(seen, labels)
-    precision = Proportion(result["true"], result["finds"])
+    precision = Proportion(result["true"], result["detections"])
     recall = Proportion(result["true"], result["labels"])
     console.print(
         f"Window: {precision.total} detections, {precision.count} of them boulders: precision "
@@ -173,7 +173,7 @@ def main(json_file: Path | None, out: Path | None) -> None:
     for low, high in SIZES:
         those = (result["width"] >= low) & (result["width"] <= high)
         found = Proportion(int(result["hit"][those].sum()), int(those.sum()))
-        sizes.append({"from": low, "to": high, "told": found.total, "found": found.count})
+        sizes.append({"from": low, "to": high, "labelled": found.total, "detected": found.count})
         name = str(low) if low == high else f"{low} or more"
         table.add_row(name, str(found.total), str(found.count), f"{found.value:.2f}")
     console.print(table)

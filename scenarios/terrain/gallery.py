@@ -148,7 +148,7 @@ def draw_shadow_crops(out: Path) -> str:
 
     shapes = {"cube": (CUBE, 2.0), "half sphere": (ELLIPSOID, 1.0), "ellipsoid": (ELLIPSOID, 0.6)}
     suns = (5.0, 10.0, 20.0, 45.0)
-    looks = (
+    viewpoints = (
         ("600 m, straight down", 600.0, 0.0),
         ("100 m, straight down", 100.0, 0.0),
         ("100 m, 45 deg off nadir", 100.0, 45.0),
@@ -157,11 +157,11 @@ def draw_shadow_crops(out: Path) -> str:
     grid = Grid.centred((0.0, 0.0), 200.0, 1.0)
     plane = Heightfield(grid, np.zeros(grid.shape, np.float32))
     figure = new_figure(15.0, 12.0)
-    axes = figure.subplots(len(shapes) * len(looks), len(suns))
+    axes = figure.subplots(len(shapes) * len(viewpoints), len(suns))
     for i, (name, (shape, height)) in enumerate(shapes.items()):
         one = [np.array([v]) for v in (0.0, 0.0, 0.0, 1.0, 1.0, height, 0.0)]
         renderer = Renderer(Terrain(plane, RockField(*one, np.array([shape]))))
-        for j, (title, distance, tilt) in enumerate(looks):
+        for j, (title, distance, tilt) in enumerate(viewpoints):
             boresight = np.array([0.0, np.sin(np.radians(tilt)), -np.cos(np.radians(tilt))])
             for k, elevation in enumerate(suns):
                 rise = height / np.tan(np.radians(elevation))
@@ -173,7 +173,7 @@ def draw_shadow_crops(out: Path) -> str:
                             0.5 * (width - 1), 0.5 * (high - 1), width, high)  # fmt: skip
                 image = renderer.render(view, Light(1.5 * np.pi, np.radians(elevation)))
                 point = (np.array([tip, 0.0, 0.0]) - view.position) @ view.axes
-                ax = axes[len(looks) * i + j, k]
+                ax = axes[len(viewpoints) * i + j, k]
                 ax.imshow(image.radiance, cmap="gray", interpolation="nearest", vmin=0.0,
                           vmax=1.5 * float(image.radiance[0, -1]))  # fmt: skip
                 ax.axvline(554.0 * point[0] / point[2] + view.cx, color="#D55E00", lw=0.9)

@@ -32,7 +32,7 @@ def _descent(rng: Any = None, **changes: Any) -> Any:
         end_position=np.array([0.0, 0.0, 11.6]), end_velocity=np.array([0.0, 0.0, -2.0]),
         gravity=_G, thrust_min=lander.thrust_min + margin, thrust_max=lander.thrust_max - margin,
         exhaust_velocity=lander.exhaust_velocity, dry_mass=lander.dry_mass + 15.0,
-        max_tilt=np.deg2rad(40.0), glideslope=np.deg2rad(8.0), drop=0.5, **given,
+        max_tilt=np.deg2rad(40.0), glideslope=np.deg2rad(8.0), apex_depth=0.5, **given,
     )  # fmt: skip
 
 

@@ -84,7 +84,7 @@ def _points_at_once(rng) -> None:
     began = time.perf_counter()
     quadtree.insert(points)
     took = time.perf_counter() - began
-    print(f"    10,000,000 random points on 1 km^2: {took:.2f} s, {quadtree.cells:,d} cells")
+    print(f"    10,000,000 random points on 1 km^2: {took:.2f} s, {quadtree.cell_count:,d} cells")
 
 
 def _memory() -> None:

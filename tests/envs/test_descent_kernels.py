@@ -54,7 +54,7 @@ def lanes_of(worlds, count, guided, first_key=11, scenario=ROUGH):
     return lanes
 
 
-def asked(lanes, rng):
+def random_actions(lanes, rng):
     """Return actions that come down somewhere, more or less upright."""
     d = lanes.craft.dynamics
     noise = rng.normal(0.0, 0.2, (10_000, 3))[: lanes.count]  # lane i has the same in any company
@@ -91,14 +91,16 @@ def against_plain(worlds, guided, count, scenario=ROUGH):
     if c.domain_randomization is not None:
         drawn = [plain.varied((11 + i) * 977, 0, c.domain_randomization) for i in range(count)]
     ones = [
-        plain.Lander(y, d, c.gains, c.heading, c.max_tilt, own)
-        for y, own in zip(lanes.y, drawn, strict=True)
+        plain.Lander(y, d, c.gains, c.heading, c.max_tilt, changes)
+        for y, changes in zip(lanes.y, drawn, strict=True)
     ]
-    heavy = [replace(d.lander, dry_mass=d.lander.dry_mass + own["payload_kg"]) for own in drawn]
+    heavy = [
+        replace(d.lander, dry_mass=d.lander.dry_mass + changes["payload_kg"]) for changes in drawn
+    ]
     rng = np.random.default_rng(3)
     while (lanes.ended == FLYING).any():
         flying = np.flatnonzero(lanes.ended == FLYING)
-        actions = asked(lanes, rng)
+        actions = random_actions(lanes, rng)
         lanes.move(actions)
         for i in flying:
             path = (
@@ -144,8 +146,8 @@ def test_starts_are_those_drawn_plainly(worlds):
             world, target, off, velocity = plain.begun(key[i], flight, c.start, c.target_area, 2)
             assert lanes.world[i] == world
             assert lanes.target[i, :2] == pytest.approx(target, abs=1e-12)
-            frame = worlds.relief_frame
-            relief = RasterGround(worlds.reliefs[world], frame).elevation(target)
+            frame = worlds.rock_free_frame
+            relief = RasterGround(worlds.rock_free_terrains[world], frame).elevation(target)
             assert lanes.target[i, 2] == pytest.approx(relief[0], abs=1e-9)
             assert lanes.y[i, :3] - lanes.target[i] == pytest.approx(off, abs=1e-9)
             assert lanes.y[i, 3:6] == pytest.approx(velocity, abs=1e-12)
@@ -167,10 +169,10 @@ def test_landers_are_those_drawn_plainly(worlds):
             assert dict(zip(RANDOM_QUANTITIES, lanes.randomized[i], strict=True)) == pytest.approx(
                 wanted, rel=1e-12
             )
-            own = lanes.params[i]
-            assert own[1] == pytest.approx(9.80665 * (311.0 + wanted["specific_impulse_s"]))
-            assert own[2] == pytest.approx(0.1 + wanted["thrust_lag_s"])
-            assert own[3:] == pytest.approx([1100.0 + wanted["payload_kg"], lanes.y[i, 13]])
+            params = lanes.params[i]
+            assert params[1] == pytest.approx(9.80665 * (311.0 + wanted["specific_impulse_s"]))
+            assert params[2] == pytest.approx(0.1 + wanted["thrust_lag_s"])
+            assert params[3:] == pytest.approx([1100.0 + wanted["payload_kg"], lanes.y[i, 13]])
         assert np.array_equal(lanes.y[:, :13], alike.y[:, :13])
         seen.append(lanes.randomized.copy())
         lanes.begin(every)
@@ -199,7 +201,7 @@ def test_a_lane_flies_the_same_bits_in_any_company_and_on_any_threads(worlds, gu
             numba.set_num_threads(allowed)
             lanes, rng = lanes_of(worlds, count, guided), np.random.default_rng(4)
             for _ in range(30):
-                lanes.move(asked(lanes, rng))
+                lanes.move(random_actions(lanes, rng))
             kept.append(
                 (lanes.y[:5].copy(), lanes.ended[:5].copy(), lanes.touchdown_values[:5].copy())
             )

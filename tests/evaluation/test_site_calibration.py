@@ -40,7 +40,7 @@ def test_sites_are_evaluated_where_they_truly_are():
     e = evidence(seen=seen, slope=np.linspace(0.1, 0.9, 81).reshape(9, 9))
     # A cell of the map at (x, y) truly lies at (x - 1, y + 1).
     found = sample_sites(e, truth, (1.0, -1.0, 9.0), 1000, 5, np.random.default_rng(1))
-    x, y = np.moveaxis(e.level.grid.centres(), -1, 0)
+    x, y = np.moveaxis(e.horizontal_plane.grid.centres(), -1, 0)
     taken = seen & (y + 1.0 < 2.9)
     assert taken.sum() == len(found) > 20
     assert np.array_equal(found.safe, (x - 1.0 < 1.9)[taken])
@@ -162,9 +162,9 @@ def test_a_packaged_probability_that_is_right_is_not_bettered():
 
 def test_the_chance_of_rocks_under_the_pads_does_not_spoil_a_refit():
     doubted = [replace(sites(i), clear=np.full(1500, 0.05)) for i in range(6)]
-    own = judged(*doubted).refit_domain
-    assert own.packaged.ece[0] > 0.2
-    assert own.refit.ece[0] < 0.03
+    refit_quality = judged(*doubted).refit_domain
+    assert refit_quality.packaged.ece[0] > 0.2
+    assert refit_quality.refit.ece[0] < 0.03
 
 
 def test_flights_alike_leave_no_interval():

@@ -51,6 +51,6 @@ def moon(rng: np.random.Generator | None = None, **changes) -> Descent:
         "end_position": np.array([0.0, 0.0, 11.6]), "end_velocity": np.array([0.0, 0.0, -2.0]),
         "gravity": MOON, "thrust_min": 1032.0, "thrust_max": 5568.0,
         "exhaust_velocity": 311.0 * 9.80665, "dry_mass": 1115.0, "max_tilt": np.deg2rad(40.0),
-        "glideslope": np.deg2rad(8.0), "drop": 0.5,
+        "glideslope": np.deg2rad(8.0), "apex_depth": 0.5,
     }  # fmt: skip
     return Descent(**{**given, **changes})

@@ -15,9 +15,9 @@ from lunarsim.optimal.final_time import (
     minimize_landing_error,
     minimize_propellant,
     minimum_effort_time,
-    nearest,
     remaining_log_mass,
     search_near,
+    search_nearest_end,
 )
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Descent
@@ -114,7 +114,7 @@ class Moody(FallbackSolver):
 
 def test_a_failure_at_one_final_time_does_not_end_the_search():
     path = minimize_propellant(Planner(20, Moody), moon())
-    assert path.increment == pytest.approx(minimize_propellant(Planner(20), moon()).increment, 1e-3)
+    assert path.delta_v == pytest.approx(minimize_propellant(Planner(20), moon()).delta_v, 1e-3)
 
 
 def test_a_path_that_the_engine_cannot_fly_is_reported_not_returned():
@@ -141,23 +141,25 @@ def test_a_start_under_the_glideslope_is_out_of_reach_and_the_nearest_end_keeps_
     with pytest.raises(InfeasibleError) as found:
         minimize_propellant(Planner(20), low)
     gap = low.position - found.value.nearest
-    assert gap[2] + low.drop > np.tan(low.glideslope) * abs(gap[0]) - 0.01
+    assert gap[2] + low.apex_depth > np.tan(low.glideslope) * abs(gap[0]) - 0.01
     assert found.value.miss > 200.0
     assert Planner(20).at_time(low, 30.0) is None
 
 
 def test_the_nearest_end_is_that_of_all_the_thrust_there_is():
     fast = {"position": (-250.0, 0.0, 200.0), "velocity": (45.0, 0.0, -25.0)}
-    short, spared = (nearest(Planner(20), moon(**fast, thrust_slack=s)) for s in (0.0, 400.0))
+    short, spared = (
+        search_nearest_end(Planner(20), moon(**fast, thrust_slack=s)) for s in (0.0, 400.0)
+    )
     assert spared.miss < 1.0
     assert short.miss > 40.0
 
 
 def test_of_all_ends_as_near_the_one_of_least_propellant_is_taken():
     low = moon(position=(-600.0, 0.0, 60.0), velocity=(28.0, 0.0, 5.0))
-    near, best = nearest(Planner(20), low), minimize_landing_error(Planner(20), low)
+    near, best = search_nearest_end(Planner(20), low), minimize_landing_error(Planner(20), low)
     assert best.miss == pytest.approx(near.miss, rel=5e-3)
-    assert best.increment < 0.98 * near.increment
+    assert best.delta_v < 0.98 * near.delta_v
 
 
 def test_half_spaces_that_leave_no_way_are_not_answered_by_a_nearest_end_that_breaks_them():
@@ -174,13 +176,13 @@ def test_walls_that_stand_stay_where_they_are_while_the_end_moves():
     n = 20
     east = np.broadcast_to([-1.0, 0.0, 0.0], (n, 1, 3))
     d = moon(position=np.array([-600.0, 0.0, 60.0]), velocity=np.array([28.0, 0.0, 5.0]))
-    free = nearest(Planner(n), d)
+    free = search_nearest_end(Planner(n), d)
     assert free.position[-1, 0] < -200.0
     offsets = np.full((n, 1), 400.0)
-    path = nearest(Planner(n), d, half_spaces=HalfSpaces(east, offsets, moves=False))
+    path = search_nearest_end(Planner(n), d, half_spaces=HalfSpaces(east, offsets, moves=False))
     control = path.position[:-1, 0] + 0.5 * path.step * path.velocity[:-1, 0]
     assert control[1:-1].max() < -400.0 + 0.1
-    assert nearest(Planner(n), d, half_spaces=HalfSpaces(east, offsets)) is None
+    assert search_nearest_end(Planner(n), d, half_spaces=HalfSpaces(east, offsets)) is None
 
 
 def test_what_is_left_of_a_path_begins_where_it_is():

@@ -57,7 +57,7 @@ def test_a_path_within_the_majorant_keeps_above_the_terrain_between_its_nodes():
     cone = terrain.majorant(moon().end_position, 16, 1.0)
     kept = minimize_propellant(planner, replace(moon(), cone=cone))
     assert terrain.above(kept) > 0.9
-    assert kept.increment > free.increment
+    assert kept.delta_v > free.delta_v
     assert kept.half_space_multipliers.max() > 1e-3
 
 
@@ -74,7 +74,7 @@ def test_planes_about_the_path_undercut_a_majorant_that_blocks_the_way():
     assert terrain.above(found) > 1.0 - 2e-3
     free = minimize_propellant(planner, moon())
     assert terrain.above(free) < 0.0
-    assert free.increment * (1.0 - 1e-4) <= found.increment < kept.increment - 1.0
+    assert free.delta_v * (1.0 - 1e-4) <= found.delta_v < kept.delta_v - 1.0
 
 
 def test_a_wall_about_the_site_is_passed_by_the_short_way():
@@ -115,7 +115,7 @@ def test_a_solver_that_gives_up_over_terrain_leaves_the_path_found_before(later)
     kept = minimize_propellant(planner, replace(moon(), cone=cone))
     Fails.met, Fails.at = 0, planner.solves + later
     path = minimize_propellant_over_terrain(Planner(20, Fails), moon(), knoll, clearance=1.0)
-    assert path.increment <= kept.increment
+    assert path.delta_v <= kept.delta_v
 
 
 def test_where_no_terrain_rises_nothing_changes():
@@ -123,7 +123,7 @@ def test_where_no_terrain_rises_nothing_changes():
     over = minimize_propellant_over_terrain(
         planner, moon(), TerrainRaster(GRID, np.zeros(GRID.shape))
     )
-    assert over.increment == pytest.approx(minimize_propellant(planner, moon()).increment, rel=1e-4)
+    assert over.delta_v == pytest.approx(minimize_propellant(planner, moon()).delta_v, rel=1e-4)
 
 
 def test_bad_terrain_is_refused():

@@ -32,7 +32,7 @@ def test_an_updated_program_is_solved_as_one_made_again_and_by_another_solver():
         duration = minimize_propellant(kept, descent).duration
         paths = [p.at_time(descent, duration) for p in (kept, Planner(30), other)]
         for path in paths[1:]:
-            assert path.increment == pytest.approx(paths[0].increment, rel=1e-6)
+            assert path.delta_v == pytest.approx(paths[0].delta_v, rel=1e-6)
             assert np.allclose(path.position, paths[0].position, atol=0.1)
             assert path.slope == pytest.approx(paths[0].slope, abs=0.02)
 
@@ -44,7 +44,9 @@ def test_flights_repeat_bit_for_bit():
     runs = []
     for _ in range(2):
         planner = Planner(25)
-        runs.append([minimize_propellant(planner, d).thrust.tobytes() for d in descents])
+        runs.append(
+            [minimize_propellant(planner, d).thrust_acceleration.tobytes() for d in descents]
+        )
         minimize_propellant(Planner(25), mars())
     assert runs[0] == runs[1]
 
@@ -55,7 +57,7 @@ def test_a_path_keeps_everything_between_its_nodes():
     t = np.linspace(0.0, path.duration, 4001)
     r, v, push = path.at(t)
     gap = r - d.end_position
-    above = gap[:, 2] + d.drop - np.tan(d.glideslope) * np.hypot(gap[:, 0], gap[:, 1])
+    above = gap[:, 2] + d.apex_depth - np.tan(d.glideslope) * np.hypot(gap[:, 0], gap[:, 1])
     assert above[t > path.step].min() > -1e-3
     tilt = np.arccos(push[:, 2] / np.linalg.norm(push, axis=1))
     assert tilt.max() < d.max_tilt + 1e-5
@@ -94,16 +96,19 @@ def test_a_last_solution_leaves_four_solves_at_most():
         warm = minimize_propellant(planner, here, last=first, elapsed=1.0)
         cold = minimize_propellant(planner, here)
         worst = max(worst, warm.solves)
-        assert warm.increment == pytest.approx(cold.increment, rel=1e-3)
+        assert warm.delta_v == pytest.approx(cold.delta_v, rel=1e-3)
     assert worst <= 4
 
 
 def test_the_end_may_have_to_be_upright():
     upright = minimize_propellant(Planner(40), moon(max_final_tilt=np.deg2rad(5.0)))
     free = minimize_propellant(Planner(40), moon())
-    tilts = [np.arccos(p.thrust[-1, 2] / np.linalg.norm(p.thrust[-1])) for p in (upright, free)]
+    tilts = [
+        np.arccos(p.thrust_acceleration[-1, 2] / np.linalg.norm(p.thrust_acceleration[-1]))
+        for p in (upright, free)
+    ]
     assert tilts[0] < np.deg2rad(10.0) < np.deg2rad(30.0) < tilts[1]
-    assert free.increment < upright.increment < 1.05 * free.increment
+    assert free.delta_v < upright.delta_v < 1.05 * free.delta_v
 
 
 def test_spare_thrust_is_left_alone_while_there_is_another_way():
@@ -120,7 +125,7 @@ def test_spare_thrust_has_its_price_and_counts_among_the_limits():
     hard = Planner(40).at_time(moon(thrust_slack=400.0, thrust_slack_penalty=8.0), 26.8)
     share = (hard.forces.max() - 5568.0) / 400.0
     assert 0.05 < share < 1.0
-    assert hard.cost - hard.increment == pytest.approx(8.0 * share, rel=0.02)
+    assert hard.cost - hard.delta_v == pytest.approx(8.0 * share, rel=0.02)
     assert hard.excess < 1e-3
     tight = replace(hard, descent=moon(thrust_slack=0.5 * share * 400.0))
     assert tight.excess == pytest.approx(0.5 * share * 400.0 / 5568.0, rel=0.02)
@@ -128,7 +133,7 @@ def test_spare_thrust_has_its_price_and_counts_among_the_limits():
 
 def test_tips_under_the_end_are_the_drop_lower():
     slope = np.deg2rad(4.0)
-    path = Planner(20).at_time(mars(glideslope=slope, drop=12.0), 81.0)
+    path = Planner(20).at_time(mars(glideslope=slope, apex_depth=12.0), 81.0)
     gap = path.position[:-1] + 0.5 * path.step * path.velocity[:-1]
     above = gap[:, 2] - np.tan(slope) * np.hypot(gap[:, 0], gap[:, 1])
     assert above[1:-1].min() == pytest.approx(-12.0, abs=0.05)
@@ -145,7 +150,7 @@ def test_masses_that_are_off_are_solved_for_again():
     assert path.solves == planner.solves == 2
     exact = planner.at_time(moon(), 30.0, log_mass=path.log_mass)
     assert exact.solves == 1
-    assert path.increment == pytest.approx(exact.increment, rel=1e-5)
+    assert path.delta_v == pytest.approx(exact.delta_v, rel=1e-5)
 
 
 class Failing:
@@ -202,7 +207,7 @@ def test_after_a_failure_the_solver_begins_again():
     before = planner.at_time(moon(), 30.0)
     assert planner.at_time(moon(), 5.0) is None
     after = planner.at_time(moon(), 30.0)
-    assert after.thrust.tobytes() == before.thrust.tobytes()
+    assert after.thrust_acceleration.tobytes() == before.thrust_acceleration.tobytes()
 
 
 def test_infeasible_errors_travel_between_processes():
@@ -280,6 +285,6 @@ def test_bad_times_cones_and_grids_are_refused():
         Cone(np.zeros((0, 3)))
     with pytest.raises(InputError, match="cone"):
         Cone(np.array([[np.nan, 0.0, 1.0]]))
-    for normals, drop in (("a", 0.0), (np.eye(3), -1.0), (np.eye(3), "a"), (None, 0.0)):
+    for normals, depth in (("a", 0.0), (np.eye(3), -1.0), (np.eye(3), "a"), (None, 0.0)):
         with pytest.raises(InputError, match="cone"):
-            Cone(normals, drop)
+            Cone(normals, depth)

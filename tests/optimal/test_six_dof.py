@@ -60,10 +60,10 @@ def descent(rng: np.random.Generator, **changes) -> RigidDescent:
 def held(d: RigidDescent, path: RigidPath) -> None:
     """Check a path by what the simulator makes of its commands."""
     found = evaluate_violations(d, *simulate_open_loop(path))
-    assert found.miss < 0.05 and found.speed < 0.01, found
+    assert found.miss < 0.05 and found.velocity < 0.01, found
     assert np.rad2deg([found.final_tilt, found.final_rate]).max() < 0.05, found
     assert np.rad2deg([found.tilt, found.rate]).max() < 0.3, found
-    assert found.slope < 0.0 and np.rad2deg(found.sight) < 0.5, found
+    assert found.glideslope < 0.0 and np.rad2deg(found.sight) < 0.5, found
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.1, 1.0])
@@ -107,12 +107,17 @@ def test_both_ways_take_the_same_propellant_and_the_simulator_flies_it():
 
 def test_a_sensor_sees_the_site_for_as_long_as_it_is_asked_to():
     d = descent(np.random.default_rng(2))
-    asked = replace(d, sight=SiteVisibility(np.array([0.0, 0.0, -1.0]), np.deg2rad(55.0), 0.6))
-    free, path = SuccessiveConvexification(N).solve(d), SuccessiveConvexification(N).solve(asked)
+    constrained = replace(
+        d, sight=SiteVisibility(np.array([0.0, 0.0, -1.0]), np.deg2rad(55.0), 0.6)
+    )
+    free, path = (
+        SuccessiveConvexification(N).solve(d),
+        SuccessiveConvexification(N).solve(constrained),
+    )
     assert (
-        np.rad2deg(evaluate_violations(asked, *simulate_open_loop(free)).sight) > 5.0
+        np.rad2deg(evaluate_violations(constrained, *simulate_open_loop(free)).sight) > 5.0
     )  # nobody asked
-    held(asked, path)
+    held(constrained, path)
     assert path.propellant > 1.1 * free.propellant
 
 
@@ -141,7 +146,7 @@ def test_what_cannot_be_is_refused():
         ({"thrust_max": 9000.0}, "thrust_max"), ({"thrust_min": 5600.0}, "thrust_max"),
         ({"torque_share": 1.5}, "torque_share"), ({"gravity": np.nan}, "gravity"),
         ({"end_position": [0.0, np.nan, 0.0]}, "end_position"), ({"reserve": 400.0}, "mass"),
-        ({"drop": -1.0}, "drop"), ({"glideslope": 2.0}, "glideslope"),
+        ({"apex_depth": -1.0}, "apex_depth"), ({"glideslope": 2.0}, "glideslope"),
         ({"start": State(np.full(3, np.nan), np.zeros(3), np.array([0, 0, 0, 1.0]), np.zeros(3),
                          1500.0)}, r"start\.position\[0\]: must be finite, got nan"),
     ):  # fmt: skip

@@ -32,8 +32,8 @@ def check_primer(path) -> None:
     p = path.primer_vector
     curvature_guess = np.abs(np.diff(p, n=2, axis=0)).max() / np.abs(p).max()
     assert curvature_guess < 1e-5
-    size = np.linalg.norm(path.thrust, axis=1)
-    along = np.einsum("ij,ij->i", path.thrust, p) / (size * np.linalg.norm(p, axis=1))
+    size = np.linalg.norm(path.thrust_acceleration, axis=1)
+    along = np.einsum("ij,ij->i", path.thrust_acceleration, p) / (size * np.linalg.norm(p, axis=1))
     assert along.min() > 1.0 - 1e-5
     # Of the terms that make up H each is of the order of the thrust over mass.
     assert np.ptp(path.hamiltonian) < 0.1 * size.max()
@@ -68,7 +68,7 @@ def test_two_hundred_random_descents_within_tilt_and_glideslope():
     rng, planner, allow_lossy = np.random.default_rng(5), Planner(40), 0
     for _ in range(200):
         path = minimize_propellant(planner, moon(rng))
-        size = np.linalg.norm(path.thrust, axis=1)
+        size = np.linalg.norm(path.thrust_acceleration, axis=1)
         # On the glideslope the thrust may be singular, and the relaxation then loses a little.
         loose = path.bound > size * (1.0 + 1e-4)
         allow_lossy += loose.any()

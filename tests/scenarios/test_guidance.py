@@ -27,8 +27,11 @@ def test_propellant_of_laws_is_compared_with_the_optimum(script, capsys):
     assert apollo["safe"] and optimal["safe"] and rows["information-seeking"]["safe"]
     assert optimal["approach"] < 1.02 * optimal["optimum"] < 0.95 * apollo["approach"]
     assert optimal["plans"] > 15
-    assert optimal["fallbacks"] == apollo["plans"] == apollo["asked"] == 0
-    assert neural["asked"] > 100 and f"{neural['infeasible']} of {neural['asked']}" in printed
+    assert optimal["fallbacks"] == apollo["plans"] == apollo["network_evaluations"] == 0
+    assert (
+        neural["network_evaluations"] > 100
+        and f"{neural['infeasible']} of {neural['network_evaluations']}" in printed
+    )
 
 
 def test_infeasible_starts_are_rejected(script, monkeypatch):

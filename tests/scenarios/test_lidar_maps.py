@@ -106,7 +106,7 @@ def test_scene_cache_is_exact_and_rejects_other_scenes(script, tmp_path):
     again = kept.load_or_evaluate(judge, deck, file, 1, console)
     assert drawn == deck[:1]
     for one, same in zip(first, again, strict=True):
-        assert (one.scene, one.cover) == (same.scene, same.cover)
+        assert (one.scene, one.rough_fraction) == (same.scene, same.rough_fraction)
         assert all(np.array_equal(getattr(one, n), getattr(same, n)) for n in kept.ARRAYS)
     with pytest.raises(click.ClickException, match="other scenes"):
         kept.load_or_evaluate(judge, other, file, 1, console)
@@ -127,8 +127,8 @@ def test_held_out_rows_are_evaluated_by_a_fit_without_them(script, monkeypatch):
         x[:, 0] = 1.0
         safe = rng.random(60) < 1.0 / (1.0 + np.exp(-(8.0 * x[:, UNCONSTRAINED_FEATURES] - 4.0)))
         ones = np.ones(60)
-        known, doomed = rng.random(60) < 0.8, rng.random(60) < 0.5
-        return study.SceneSites(scene, x, known, ones, ones, ones, doomed, 0.005, safe)
+        known, claimable = rng.random(60) < 0.8, rng.random(60) < 0.5
+        return study.SceneSites(scene, x, known, ones, ones, ones, claimable, 0.005, safe)
 
     scenes = [judged(s) for s in deck]
     rows = list(study.split_by_scene_type(scenes))
@@ -155,10 +155,10 @@ def test_held_out_rows_are_evaluated_by_a_fit_without_them(script, monkeypatch):
     )
     assert not claimed[~sites.known].any()
     # Sites that cannot be classified as unsafe are claimed only if they are certainly safe.
-    assert not claimed[~sites.doomed & (p < ALMOST_CERTAINLY_SAFE_P)].any()
-    assert study.predict_safety(model, replace(sites, doomed=~sites.doomed))[1][
-        claimed & (p >= ALMOST_CERTAINLY_SAFE_P)
-    ].all()
+    assert not claimed[~sites.may_be_claimed_unsafe & (p < ALMOST_CERTAINLY_SAFE_P)].any()
+    assert study.predict_safety(
+        model, replace(sites, may_be_claimed_unsafe=~sites.may_be_claimed_unsafe)
+    )[1][claimed & (p >= ALMOST_CERTAINLY_SAFE_P)].all()
     assert (p <= expit(sites.features @ np.array(model.weights).T).min(axis=1) + 1e-9).all()
     # A constant has no calibration error and no skill.
     flat = study.calibration_metrics(np.full(len(p), sites.safe.mean()), sites.safe)

@@ -47,13 +47,13 @@ def test_hazard_field_prints_and_draws(small, monkeypatch, tmp_path, capsys):
     assert "landing zones with a true hazard" in capsys.readouterr().out
     assert json.loads((out / "results.json").read_text())["rows"] == rows
     summary = experiment.summarise(rows)
-    last = summary["looks"][-1]
+    last = summary["evaluations"][-1]
     assert summary["locked"] == 1
     assert max(summary["position_rms_m"]) < 0.5
     assert last["map_error_rms"] < 0.1
     assert last["sites"] == 5
     assert last["zones_with_hazard"] == 0
-    assert 0.0 < last["missed_m2"] + last["false_m2"] < 0.2 * last["judged_m2"]
+    assert 0.0 < last["missed_m2"] + last["false_m2"] < 0.2 * last["evaluated_m2"]
     for name in ("mapping", "slopes", "hazards", "quadtree", "sites", "choice", "navigation"):
         assert (out / f"{name}.png").stat().st_size > 20_000
     done = CliRunner().invoke(study_command(experiment.study), ["--fields", "0"])

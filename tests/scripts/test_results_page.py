@@ -97,17 +97,23 @@ def test_shadow_metrics_are_paired(results):
     assert by["clear area classified as clear, modified"].falls_short  # 0.2 for 0.29
 
 
-def _look(rms, missed, hazard, sites, slope=2.0, false=0.5):
+def _evaluation(rms, missed, hazard, sites, slope=2.0, false=0.5):
     return {"map_error_rms": rms, "slope_error_max": slope, "missed_m2": missed,
             "hazard_m2": hazard, "false_m2": false,
             "sites": [{"exactly_safe": s, "hazard_m2": h} for s, h in sites]}  # fmt: skip
 
 
 def test_quadtree_metrics_are_of_the_last_evaluation(results):
-    first = _look(9.0, 9.0, 9.0, [])
+    first = _evaluation(9.0, 9.0, 9.0, [])
     flights = [
-        {"lock": 7.5, "looks": [first, _look(0.02, 1.0, 4.0, [(True, 0.0), (False, 0.3)])]},
-        {"lock": None, "looks": [first, _look(0.06, 3.0, 4.0, [(True, 0.0)], 7.0, 1.5)]},
+        {
+            "lock": 7.5,
+            "evaluations": [first, _evaluation(0.02, 1.0, 4.0, [(True, 0.0), (False, 0.3)])],
+        },
+        {
+            "lock": None,
+            "evaluations": [first, _evaluation(0.06, 3.0, 4.0, [(True, 0.0)], 7.0, 1.5)],
+        },
     ]
     by = {f.label: f for f in results.extract_report("quadtree", {"rows": flights}, "").figures}
     assert {name: f.values for name, f in by.items()} == {
@@ -131,9 +137,9 @@ def test_quadtree_metrics_are_of_the_last_evaluation(results):
 
 
 def test_guidance_metrics_are_relative_to_the_optimum_of_each_start(results):
-    row = {"law": "apollo", "optimum": 30.0, "descent": 10.0, "whole": 50.0, "speed": 0.2}
-    flown = [{**row, "safe": True}, {**row, "whole": 44.0, "safe": False},
-             {**row, "law": "optimal", "whole": 38.0, "safe": True}]  # fmt: skip
+    row = {"law": "apollo", "optimum": 30.0, "descent": 10.0, "total": 50.0, "speed": 0.2}
+    flown = [{**row, "safe": True}, {**row, "total": 44.0, "safe": False},
+             {**row, "law": "optimal", "total": 38.0, "safe": True}]  # fmt: skip
     report = results.extract_report("guidance", {"rows": flown}, "python g.py")
     by = {f.label: f for f in report.figures}
     assert by["`apollo`: excess propellant to touchdown"].values == pytest.approx([25.0, 10.0])
@@ -178,8 +184,8 @@ def test_real_return_metrics_are_by_split(results):
         "mean square of error / predicted sigma (ideal 1)",
         "fraction beyond 2",
     )
-    told = {f.label: f.values for f in report.figures}
-    assert {k: pytest.approx(v) for k, v in told.items()} == {
+    values = {f.label: f.values for f in report.figures}
+    assert {k: pytest.approx(v) for k, v in values.items()} == {
         f"as flights do: {error}": [0.1, 0.4],
         f"as flights do: {square}": [0.2, 0.5],
         f"as flights do: {share} sigma (ideal 0.046)": [0.3, 0.6],

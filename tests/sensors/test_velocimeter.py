@@ -51,8 +51,8 @@ def test_beams_see_their_share_of_the_velocity():
 
 def test_what_beams_are_off_by_is_drawn_for_a_flight_and_wanders():
     noiseless = DopplerVelocimeter(speed_noise=1e-9)
-    said = noiseless.calibration()
-    assert (said.speed_bias, said.speed_bias_walk) == (0.02, 0.005)
+    calibration = noiseless.calibration()
+    assert (calibration.speed_bias_sigma, calibration.speed_bias_walk) == (0.02, 0.005)
     here, rng = state(), np.random.default_rng(5)
     truth = noiseless.measure(LEVEL, here, 0.0, rng).speed
     off = np.empty((400, 3, 3))

@@ -115,7 +115,7 @@ def test_a_map_that_lies_aside_moves_the_site_frame_alone():
     )
     simulation = Simulation(aside, 2, "truth-oracle")
     flight = simulation.run()
-    assert filter_of(simulation).found
+    assert filter_of(simulation).has_located
     assert simulation.site_error == pytest.approx(offset, abs=0.5)
     # Lander and map share the error: what the map shows at a place is the ground there.
     hazard_map = flight.hazard_map
@@ -204,7 +204,7 @@ def test_no_site_is_an_answer_too():
                  decisions={"first_altitude_m": 400.0}, sensors=FEW), 2, "safest",
     )  # fmt: skip
     flight = blind.run()
-    assert not filter_of(blind).found
+    assert not filter_of(blind).has_located
     assert flight.hazard_map.observed.any()
     assert len(blind.observe().candidates) > 0
 

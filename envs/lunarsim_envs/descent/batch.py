@@ -272,7 +272,7 @@ class DescentBatch:
             k.begin(
                 mask, self._keys, self._flight_counts, self.y, self._rate, self.target, self.world,
                 self.time, self.ended, self.starts, self.target_areas, self.world_ranges,
-                self._upright, self._weight, w.reliefs, w.relief_frame,
+                self._upright, self._weight, w.rock_free_terrains, w.rock_free_frame,
             )  # fmt: skip
             if self.craft.domain_randomization is not None:
                 k.randomize(

@@ -36,7 +36,7 @@ class WorldPool:
     terrains, frame
         Heights with rocks (k, rows, cols), m; east and north of cell (0, 0), and grid spacing (3,),
         m.
-    reliefs, relief_frame
+    rock_free_terrains, rock_free_frame
         Heights without rocks, on which targets are placed, and the frame of their grid.
     levels
         Minimum and maximum height of each world (k, 2), m.
@@ -47,8 +47,8 @@ class WorldPool:
 
     terrains: NDArray[np.float32]
     frame: Array
-    reliefs: NDArray[np.float32]
-    relief_frame: Array
+    rock_free_terrains: NDArray[np.float32]
+    rock_free_frame: Array
     levels: Array
     covers: tuple[float, ...]
 

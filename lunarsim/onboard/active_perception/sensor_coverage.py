@@ -140,7 +140,7 @@ def build_camera_model(
     """
     model = ShapeMixture(float(np.arcsin(briefing.sun[2])), briefing.rocks.shape)
     azimuth, depression = table_directions()
-    sharpness = model.visible_pixels(1.0, azimuth, depression, 1.0)
+    sharpness = model.visible_q(1.0, azimuth, depression, 1.0)
     hiding_rocks = ExpectedRocks.golombek(
         briefing.rocks.cover, _MIN_HIDING_DIAMETER_RATIO * min_diameter
     )

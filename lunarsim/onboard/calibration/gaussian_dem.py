@@ -72,13 +72,13 @@ class MapEvidence(CalibrationEvidence):
 
     Attributes
     ----------
-    level, planes
+    horizontal_plane, support_planes
         Safety probabilities by a horizontal plane (`stochastic_safety`), and by the support planes
         of the legs (`plane_stochastic_safety`).
     nominal
         Result of `bounded_safety` for the mean elevations.
     lander
-        Lander for which `level`, `planes` and `nominal` were computed.
+        Lander for which `horizontal_plane`, `support_planes` and `nominal` were computed.
     curve
         Fraction of terrain above each height, from the samples and the mission's rock distribution.
     holes
@@ -94,8 +94,8 @@ class MapEvidence(CalibrationEvidence):
 
     regression = GAUSSIAN_DEM
 
-    level: StochasticSafety
-    planes: StochasticSafety
+    horizontal_plane: StochasticSafety
+    support_planes: StochasticSafety
     nominal: SafetyMap
     lander: Lander
     curve: ExceedanceCurve
@@ -108,27 +108,29 @@ class MapEvidence(CalibrationEvidence):
     def __post_init__(self) -> None:
         if (
             self.undetected_rock_ratio is not None
-            and self.undetected_rock_ratio.shape != self.level.grid.shape
+            and self.undetected_rock_ratio.shape != self.horizontal_plane.grid.shape
         ):
             shape = self.undetected_rock_ratio.shape
             raise InputError(
                 "calibration.undetected_rock_ratio",
                 shape,
-                f"must have the shape {self.level.grid.shape}",
+                f"must have the shape {self.horizontal_plane.grid.shape}",
             )
-        for name in ("planes", "nominal"):
+        for name in ("support_planes", "nominal"):
             grid = getattr(self, name).grid
-            if grid != self.level.grid:
+            if grid != self.horizontal_plane.grid:
                 raise InputError(
                     f"calibration.{name}",
                     grid,
-                    "must have the same grid as `level`",
+                    "must have the same grid as `horizontal_plane`",
                     show_value=False,
                 )
-        if np.shape(self.density) != self.level.grid.shape:
+        if np.shape(self.density) != self.horizontal_plane.grid.shape:
             shape = np.shape(self.density)
             raise InputError(
-                "calibration.density", shape, f"must have the shape {self.level.grid.shape}"
+                "calibration.density",
+                shape,
+                f"must have the shape {self.horizontal_plane.grid.shape}",
             )
         for name in ("noise", "spacing"):
             value = getattr(self, name)
@@ -138,7 +140,7 @@ class MapEvidence(CalibrationEvidence):
     @property
     def observed(self) -> BoolArray:
         """Mask of the cells whose complete footprint was observed (rows, cols)."""
-        return self.level.observed & self.planes.observed & self.nominal.observed
+        return self.horizontal_plane.observed & self.support_planes.observed & self.nominal.observed
 
     @cached_property
     def slope(self) -> Array:
@@ -193,7 +195,11 @@ class MapEvidence(CalibrationEvidence):
         They are probits of slope and roughness safety, by a horizontal plane and by support
         planes, and slope and roughness relative to their limits.
         """
-        tests = (t for s in (self.level, self.planes) for t in (s.p_slope, s.p_roughness))
+        tests = (
+            t
+            for s in (self.horizontal_plane, self.support_planes)
+            for t in (s.p_slope, s.p_roughness)
+        )
         probits = (ndtri(np.clip(p[where].astype(np.float64), 1e-12, 1.0 - 1e-9)) for p in tests)
         return *probits, self.slope[where], self.roughness[where]
 
@@ -211,7 +217,9 @@ class MapEvidence(CalibrationEvidence):
                 at = slice(None) if where is None else where
                 return curve.unseen_rocks(above, self.density[at])
             # Average the density-dependent number over the footprint.
-            width = max(1, round(np.sqrt(footprint_area(self.lander)) / self.level.grid.posting))
+            width = max(
+                1, round(np.sqrt(footprint_area(self.lander)) / self.horizontal_plane.grid.posting)
+            )
             each = ndimage.uniform_filter(
                 curve.unseen_rocks(above, self.density), width, mode="nearest"
             )
@@ -229,7 +237,9 @@ class MapEvidence(CalibrationEvidence):
         support planes are within their limits. Close to the slope limit, no fit has enough sites
         to claim safety, and the bound is lower.
         """
-        p_worst = np.minimum(self.planes.p_slope, self.planes.p_roughness).astype(np.float64)
+        p_worst = np.minimum(self.support_planes.p_slope, self.support_planes.p_roughness).astype(
+            np.float64
+        )
         ceiling = np.interp(self.slope, *_SLOPE_CEILING)
         return np.asarray(np.minimum(ceiling, _MAX_P_FACTOR * p_worst))
 
@@ -257,4 +267,4 @@ class MapEvidence(CalibrationEvidence):
         exceeds the roughness margin.
         """
         none = np.exp(-np.nan_to_num(self.expected_roughness_violations, nan=np.inf))
-        return np.minimum(self.level.p_safe.astype(np.float64), none)
+        return np.minimum(self.horizontal_plane.p_safe.astype(np.float64), none)

@@ -23,7 +23,7 @@ from lunarsim.onboard.calibration.evidence import (
     ExpectedHazardLimits,
     MapRegression,
 )
-from lunarsim.safety.rock_effects import min_tilt_limit_rock_height, pad_ring_area, tilt_of
+from lunarsim.safety.rock_effects import min_tilt_limit_rock_height, pad_ring_area, tilt_tangent
 from lunarsim.safety.unseen_rocks import ExceedanceCurve
 from lunarsim.typing import Array, BoolArray
 
@@ -247,7 +247,7 @@ class SiteEvidence(CalibrationEvidence):
             Height of the object under the pad (n,), relative to the roughness limit.
         """
         left = np.maximum(1.0 - self.slope, 0.02) * np.tan(self.lander.slope_limit)
-        tilt = tilt_of(height * self.lander.roughness_limit, self.lander)
+        tilt = tilt_tangent(height * self.lander.roughness_limit, self.lander)
         return np.asarray((tilt + 2e-4) / left)
 
     def observed_terrain_bound(self) -> Array:

@@ -81,7 +81,7 @@ def scanner_covariance(instrument: LidarInstrument) -> Array:
     specification, but are at least realistic minima.
     """
     i = instrument
-    stated = np.array([i.range_bias, *np.full(3, i.boresight), i.latency])
+    stated = np.array([i.range_bias_sigma, *np.full(3, i.boresight_sigma), i.latency_sigma])
     return np.diag(np.maximum(stated, MIN_SCANNER_SIGMAS) ** 2)
 
 
@@ -119,7 +119,7 @@ class CorrectedScan:
             scan, state.position.copy(), state.attitude.copy(), state.velocity.copy(), state.rate
         )
         return (
-            corrected.moved(np.concatenate((np.zeros(6), scanner_errors)))
+            corrected.corrected_by(np.concatenate((np.zeros(6), scanner_errors)))
             if scanner_errors.any()
             else corrected
         )
@@ -137,7 +137,7 @@ class CorrectedScan:
             velocity=rotation @ self.velocity,
         )
 
-    def moved(self, error: Array) -> CorrectedScan:
+    def corrected_by(self, error: Array) -> CorrectedScan:
         """Return the scan with estimated errors (11,) of pose and scanner added.
 
         The errors are position (3, m), small rotation in body axes (3, rad), range (m), boresight

@@ -115,7 +115,7 @@ class MapMatcher:
         self._variance = self._use_variance(prior, self._uses)
 
     @property
-    def found(self) -> bool:
+    def has_located(self) -> bool:
         """Whether scans were located on the prior map at least once."""
         return any(event.name == "lock" for event in self.context.events)
 
@@ -146,7 +146,7 @@ class MapMatcher:
         return agreed
 
     def _lock(self, time: float) -> None:
-        name = "relock" if self.found else "lock"
+        name = "relock" if self.has_located else "lock"
         self.locked = True
         self._last_agreement = time
         moved = float(np.linalg.norm(self.frame.site_to_local.offset - self._before))
@@ -161,7 +161,7 @@ class MapMatcher:
         certain enough. Small scans are accumulated until they cover enough grid points; until then
         the result is False.
         """
-        is_certain = self.found and self.position_sigma < self.prior.grid.posting
+        is_certain = self.has_located and self.position_sigma < self.prior.grid.posting
         if not self.locked and not is_certain:
             return False
         corrected = self._accumulator.take(self.context.correct_scan(sensor, scan), time)

@@ -158,9 +158,9 @@ class Navigator(Navigation):
         return self.matcher is not None and self.matcher.locked
 
     @property
-    def found(self) -> bool:
+    def has_located(self) -> bool:
         """Whether a scan was located on the prior map at least once."""
-        return self.matcher is not None and self.matcher.found
+        return self.matcher is not None and self.matcher.has_located
 
     @property
     def is_drifting(self) -> bool:

@@ -235,10 +235,10 @@ def register_scan(
     """Register a scan on a prior map by Gauss-Newton least squares.
 
     If the position of the scan is uncertain, the fit starts at its most probable horizontal shift;
-    if several shifts are plausible, only heights are fitted. After each correction, the moved scan
-    is averaged over the map grid again, until the terrain moves by less than 1/20 of the grid
-    spacing. The information is reduced by the correlation of the residuals. It refers to the
-    errors of `corrected`, not of the moved scan. If no grid point agrees, `used` of the fit is 0.
+    if several shifts are plausible, only heights are fitted. After each correction, the scan is
+    averaged over the map grid again, until the terrain moves by less than 1/20 of the grid spacing.
+    The information is reduced by the correlation of the residuals. It refers to the errors of
+    `corrected`, not of the updated scan. If no grid point agrees, `used` of the fit is 0.
 
     Parameters
     ----------
@@ -262,12 +262,12 @@ def register_scan(
     prior = features.prior
     error, level_only, spread = _initial_error(corrected, features, covariance)
     for _ in range(passes):
-        moved = corrected.moved(error)
-        surface = average_scan(moved.points(), prior.grid)
+        updated = corrected.corrected_by(error)
+        surface = average_scan(updated.points(), prior.grid)
         inside = _is_on_map(surface, prior)
         posts = surface.row[inside], surface.col[inside]
         normal, added = _fit_normals(surface.normal[inside], spread if level_only else None)
-        jacobian = moved.jacobian(surface.position[inside], normal)
+        jacobian = updated.jacobian(surface.position[inside], normal)
         residual = prior.elevation[posts] - surface.position[inside, 2] + jacobian @ error
         expected = features.variance + added
         result = fit_residuals(
@@ -278,7 +278,7 @@ def register_scan(
         step = solve_error(result, covariance) - error
         error = error + step
         middle = surface.position[inside].mean(axis=0)
-        if np.abs(moved.point_jacobian(middle) @ step).max() < 0.05 * prior.grid.posting:
+        if np.abs(updated.point_jacobian(middle) @ step).max() < 0.05 * prior.grid.posting:
             break
     if result.used:
         correlation = residual_correlation(posts, residual - jacobian @ error, expected)

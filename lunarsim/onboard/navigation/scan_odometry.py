@@ -150,7 +150,10 @@ class _ReferenceScan:
         position[:, 2] += self.corrected.jacobian(position, self.surface.normal) @ errors
         surface = replace(self.surface, position=position)
         return replace(
-            self, surface=surface, corrected=self.corrected.moved(errors), displacement=displacement
+            self,
+            surface=surface,
+            corrected=self.corrected.corrected_by(errors),
+            displacement=displacement,
         )
 
     def refresh(self) -> _ReferenceScan:

@@ -215,7 +215,7 @@ def detect_rocks(
     else:
         mixture = _mixture_of(model, direction, plane)
         seen = _measure_rocks(labels, table, view, onto, mixture, segmentation)
-    return seen if segmentation.left_out is None else seen.with_invalid(segmentation.left_out)
+    return seen if segmentation.invalid is None else seen.with_invalid(segmentation.invalid)
 
 
 def _mixture_of(
@@ -408,10 +408,10 @@ def _rock_centres(
     """
     k, r = kernels, rocks.radius
     centre = np.column_stack(
-        (table[:, k.ALONG] - r * unit_patch.along, table[:, k.ACROSS] - r * unit_patch.side)
+        (table[:, k.ALONG] - r * unit_patch.along, table[:, k.ACROSS] - r * unit_patch.across)
     )
-    lever = rocks.sigma[:, None] * np.column_stack((unit_patch.along, unit_patch.side))
-    shape = r[:, None] * np.column_stack((unit_patch.along_sigma, unit_patch.side_sigma))
+    lever = rocks.sigma[:, None] * np.column_stack((unit_patch.along, unit_patch.across))
+    shape = r[:, None] * np.column_stack((unit_patch.along_sigma, unit_patch.across_sigma))
     return centre, np.sqrt(observation_sigma**2 + lever**2 + shape**2)
 
 

@@ -51,7 +51,7 @@ class Segmentation:
     relative_to_lit_terrain
         Brightness relative to lit terrain in a wider neighbourhood (height, width); lit slopes
         differ from 1.
-    left_out
+    invalid
         Mask of pixels that are not finite (height, width); None if all are finite.
     """
 
@@ -60,7 +60,7 @@ class Segmentation:
     brightness: NDArray[np.uint8]
     relative: NDArray[np.float32]
     relative_to_lit_terrain: NDArray[np.float32]
-    left_out: BoolArray | None = None
+    invalid: BoolArray | None = None
 
 
 def segment(image: ArrayLike) -> Segmentation:
@@ -94,9 +94,9 @@ def segment(image: ArrayLike) -> Segmentation:
             return _no_shadows(raw.shape, ~valid)
         grey = np.where(valid, grey, np.float32(np.median(grey[valid])))
     lit = lit_terrain_brightness(grey)
-    left_out = None if valid.all() else ~valid
+    invalid = None if valid.all() else ~valid
     if not lit.max() > 0.0:
-        return _no_shadows(raw.shape, left_out)
+        return _no_shadows(raw.shape, invalid)
     cv2.max(lit, float(lit.max()) * 1e-3, dst=lit)
     if raw.dtype.kind in "if":
         cv2.max(grey, 0.0, dst=grey)
@@ -104,23 +104,23 @@ def segment(image: ArrayLike) -> Segmentation:
     levels = _brightness_levels(ratio)
     if levels is None:
         none = np.zeros(raw.shape, np.uint8)
-        return Segmentation(none, none, _gamma_corrected(ratio), ratio, ratio, left_out)
+        return Segmentation(none, none, _gamma_corrected(ratio), ratio, ratio, invalid)
     relative = cv2.divide(ratio, _slope_brightness(ratio, *levels))
     dark, deep = _shadow_masks(relative, ratio, *levels)
-    if left_out is not None:
-        dark[left_out] = 0
-    return Segmentation(dark, deep, _gamma_corrected(relative), relative, ratio, left_out)
+    if invalid is not None:
+        dark[invalid] = 0
+    return Segmentation(dark, deep, _gamma_corrected(relative), relative, ratio, invalid)
 
 
-def _no_shadows(shape: tuple[int, ...], left_out: BoolArray | None) -> Segmentation:
+def _no_shadows(shape: tuple[int, ...], invalid: BoolArray | None) -> Segmentation:
     """Return a segmentation without shadows for an image of a given shape.
 
-    `shape` is (height, width); all brightness values are 0. `left_out` marks the pixels that are
+    `shape` is (height, width); all brightness values are 0. `invalid` marks the pixels that are
     not finite.
     """
     none = np.zeros(shape, np.uint8)
     black = none.astype(np.float32)
-    return Segmentation(none, none, none, black, black, left_out)
+    return Segmentation(none, none, none, black, black, invalid)
 
 
 def lit_terrain_brightness(grey: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -267,7 +267,7 @@ def _expected_lit_to_dark(
     left = np.array([-towards[1], towards[0]])
     sight = points - view.position
     unit = model.patch(*viewing_angles(view, points, sun))
-    dark = unit.along[:, None] * towards + unit.side[:, None] * left
+    dark = unit.along[:, None] * towards + unit.across[:, None] * left
     # A point above the terrain appears in front of terrain farther away.
     parallax = sight[:, :2] / np.maximum(-sight[:, 2:], 1e-9)
     return np.asarray(dark - _FACE_OFFSET * towards - _FACE_HEIGHT * parallax)

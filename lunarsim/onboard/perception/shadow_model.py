@@ -53,7 +53,7 @@ class ShadowPatch:
 
     Attributes
     ----------
-    along, side
+    along, across
         Mean position along the azimuth of the Sun and across it, to the left (...).
     length, width
         Sides of the rectangle along the Sun with the same variances (...). End-to-end extents would
@@ -62,18 +62,18 @@ class ShadowPatch:
         Covariance of the two coordinates (...).
     area
         Dark area (...).
-    along_sigma, side_sigma, length_sigma, width_sigma
+    along_sigma, across_sigma, length_sigma, width_sigma
         Standard deviations of position, length and width over the population of shapes (...).
     """
 
     along: Array
-    side: Array
+    across: Array
     length: Array
     width: Array
     skew: Array
     area: Array
     along_sigma: Array
-    side_sigma: Array
+    across_sigma: Array
     length_sigma: Array
     width_sigma: Array
 
@@ -180,13 +180,13 @@ class ShadowModel:
         columns = interpolate_table(
             self._table, _AZIMUTHS, _DEPRESSIONS, abs(relative_azimuth).ravel(), down.ravel()
         )
-        along, side, length, width, skew, *rest = (
+        along, across, length, width, skew, *rest = (
             c.reshape(relative_azimuth.shape) for c in columns
         )
-        side, skew = (np.where(relative_azimuth < 0.0, -v, v) for v in (side, skew))
-        return ShadowPatch(along, side, length, width, skew, *rest)
+        across, skew = (np.where(relative_azimuth < 0.0, -v, v) for v in (across, skew))
+        return ShadowPatch(along, across, length, width, skew, *rest)
 
-    def visible_pixels(self, radius: Any, azimuth: Any, depression: Any, pixel: Any) -> Array:
+    def visible_q(self, radius: Any, azimuth: Any, depression: Any, pixel: Any) -> Array:
         """Return q, the square root of the number of dark pixels of a rock's patch (...).
 
         Parameters
@@ -333,7 +333,7 @@ def _dark_patch(scene: RockOnPlane, sun: Array, camera: Array, reach: float) -> 
     """Return position, length, width, skew and area of the dark patch of a rock.
 
     The rock has radius 1. `sun` and `camera` (3,) are directions, and `reach` is the maximum length
-    of the shadow. The results are along, side, length, width, skew and area as in `ShadowPatch`.
+    of the shadow. The results are along, across, length, width, skew and area as in `ShadowPatch`.
     The Sun is in the north, so `along` is y and `across`, to its left, is -x. `scene` is the rock
     on a plane.
     """

@@ -55,7 +55,7 @@ _MIN_SHARE = 0.01
 _MIN_Q = 4.0
 _MIN_LENGTH = 0.05
 # Fields of a patch that are averaged over shapes.
-_AVERAGED = ("along", "side", "length", "width", "skew", "area")
+_AVERAGED = ("along", "across", "length", "width", "skew", "area")
 # Shapes below this weight are ignored for the largest rock that a patch may be the shadow of;
 # number of standard deviations added to its radius.
 _MIN_WEIGHT = 0.03
@@ -227,7 +227,7 @@ class ShapeMixture:
         units = [m.patch(azimuth, depression) for m in self.models]
         return _mean_patch(units, self.shape_fractions)
 
-    def visible_pixels(self, radius: Any, azimuth: Any, depression: Any, pixel: Any) -> Array:
+    def visible_q(self, radius: Any, azimuth: Any, depression: Any, pixel: Any) -> Array:
         """Return q, the square root of the number of dark pixels of a rock's patch (...).
 
         `radius` is that of the rocks, m, and `pixel` the size of a pixel across the line of sight
@@ -358,6 +358,6 @@ def _mean_patch(unit_patches: list[ShadowPatch], fractions: Array) -> ShadowPatc
         f"{k}_sigma": np.sqrt(
             (fractions * (stack[f"{k}_sigma"] ** 2 + (stack[k] - mean[k][..., None]) ** 2)).sum(-1)
         )
-        for k in ("along", "side", "length", "width")
+        for k in ("along", "across", "length", "width")
     }
     return ShadowPatch(**mean, **sigma)

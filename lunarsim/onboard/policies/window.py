@@ -83,7 +83,7 @@ class CrewWindow:
         look = np.arctan2(-body[..., 2], ahead)
         return look, np.arctan2(left, np.hypot(ahead, body[..., 2]))
 
-    def sees(self, estimate: Estimate, sites: ArrayLike) -> BoolArray:
+    def is_visible(self, estimate: Estimate, sites: ArrayLike) -> BoolArray:
         """Return which sites (..., 3), local frame, m, are visible in the window (...,)."""
         look, lateral = self.angles(estimate, sites)
         inside = (look >= self.upper_edge) & (look <= self.lower_edge)

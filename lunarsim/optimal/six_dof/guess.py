@@ -66,9 +66,8 @@ def initial_guess(descent: RigidDescent, intervals: int) -> InitialGuess:
     n, step = intervals, path.step
     states = np.zeros((n + 1, 15))
     states[:, :3], states[:, 3:6], states[:, 13] = path.position, path.velocity, path.mass
-    thrust_direction = np.vstack(
-        (path.thrust[:1], 0.5 * (path.thrust[1:] + path.thrust[:-1]), [[0, 0, 1.0]])
-    )
+    push = path.thrust_acceleration
+    thrust_direction = np.vstack((push[:1], 0.5 * (push[1:] + push[:-1]), [[0, 0, 1.0]]))
     turns = _align_with_thrust(thrust_direction, Rotation.from_quat(d.start.attitude))
     states[:, 6:10] = _make_continuous(turns.as_quat())
     away = (turns[:-1].inv() * turns[1:]).as_rotvec() / step

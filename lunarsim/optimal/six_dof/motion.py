@@ -154,7 +154,7 @@ def limit_parameters(descent: RigidDescent, units: Units) -> Array:
             -2.0 if d.max_tilt is None else np.cos(d.max_tilt),
             1e6 if d.max_rate is None else (d.max_rate * units.time) ** 2,
             0.0 if d.glideslope is None else np.tan(d.glideslope),
-            d.drop / units.length,
+            d.apex_depth / units.length,
             *axis,
             -2.0 if d.sight is None else np.cos(d.sight.half_angle),
         ]

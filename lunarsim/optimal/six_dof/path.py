@@ -53,22 +53,22 @@ class ConstraintViolations:
 
     Attributes
     ----------
-    miss, speed
+    miss, velocity
         Final errors of position and velocity, m and m/s.
     final_tilt, final_rate
         Final tilt and angular rate, rad and rad/s.
-    tilt, rate, slope, sight
+    tilt, rate, glideslope, sight
         Maximum violation of the limits of tilt (rad), angular rate (rad/s), glideslope (m) and line
         of sight (rad); 0 or less: satisfied; -inf: no such limit.
     """
 
     miss: float
-    speed: float
+    velocity: float
     final_tilt: float
     final_rate: float
     tilt: float
     rate: float
-    slope: float
+    glideslope: float
     sight: float
 
 
@@ -80,7 +80,7 @@ def evaluate_violations(descent: RigidDescent, times: Array, states: Array) -> C
     tilt = np.arccos(np.clip(up, -1.0, 1.0))
     rate = np.linalg.norm(states[:, 10:13], axis=1)
     below_glideslope = (
-        np.tan(d.glideslope or 0.0) * np.hypot(at[:, 0], at[:, 1]) - at[:, 2] - d.drop
+        np.tan(d.glideslope or 0.0) * np.hypot(at[:, 0], at[:, 1]) - at[:, 2] - d.apex_depth
     )
     sight_violation = -np.inf
     if d.sight is not None:
@@ -90,12 +90,12 @@ def evaluate_violations(descent: RigidDescent, times: Array, states: Array) -> C
         )
     return ConstraintViolations(
         miss=float(np.linalg.norm(at[-1])),
-        speed=float(np.linalg.norm(states[-1, 3:6] - d.end_velocity)),
+        velocity=float(np.linalg.norm(states[-1, 3:6] - d.end_velocity)),
         final_tilt=float(tilt[-1]),
         final_rate=float(rate[-1]),
         tilt=float(tilt.max() - d.max_tilt) if d.max_tilt is not None else -np.inf,
         rate=float(rate.max() - d.max_rate) if d.max_rate is not None else -np.inf,
-        slope=float(below_glideslope.max()) if d.glideslope is not None else -np.inf,
+        glideslope=float(below_glideslope.max()) if d.glideslope is not None else -np.inf,
         sight=sight_violation,
     )
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.optimal.problem import Descent
-from lunarsim.optimal.validation import is_number, numbers
+from lunarsim.optimal.validation import check_numbers, is_number
 from lunarsim.typing import Array
 
 
@@ -72,7 +72,7 @@ class SiteVisibility:
     visible_fraction: float = 0.7
 
     def __post_init__(self) -> None:
-        axis = numbers("sight.axis", self.axis, (3,), "must be three numbers, not all 0")
+        axis = check_numbers("sight.axis", self.axis, (3,), "must be three numbers, not all 0")
         if np.linalg.norm(axis) == 0.0:
             raise InputError(
                 "optimal.sight.axis", axis.tolist(), "must be three numbers, not all 0"
@@ -125,7 +125,7 @@ class RigidDescent:
         Maximum angular rate of the body, rad/s; None: no limit.
     glideslope
         Minimum elevation of the path, seen from its end, rad; None: no limit.
-    drop
+    apex_depth
         Depth of the glideslope's apex below the end, m.
     sight
         Sensor that must see the site; None: no such constraint.
@@ -149,7 +149,7 @@ class RigidDescent:
     max_tilt: float | None = None
     max_rate: float | None = None
     glideslope: float | None = None
-    drop: float = 0.5
+    apex_depth: float = 0.5
     sight: SiteVisibility | None = None
     reserve: float = 0.0
 
@@ -157,7 +157,7 @@ class RigidDescent:
         if not isinstance(self.lander, Lander):
             raise InputError("optimal.lander", type(self.lander), "must be a Lander")
         for name in ("end_position", "end_velocity"):
-            value = numbers(name, getattr(self, name), (3,), "must be three finite numbers")
+            value = check_numbers(name, getattr(self, name), (3,), "must be three finite numbers")
             object.__setattr__(self, name, value)
         for name, given in (("thrust_min", self.lander.thrust_min),
                             ("thrust_max", self.lander.thrust_max)):  # fmt: skip
@@ -172,7 +172,7 @@ class RigidDescent:
             raise InputError("optimal.start", type(self.start), "must be a State") from None
         for name, shape in _START_SHAPES.items():
             words = f"must be {shape[0]} finite numbers" if shape else "must be a finite number"
-            numbers(f"start.{name}", getattr(self.start, name), shape, words)
+            check_numbers(f"start.{name}", getattr(self.start, name), shape, words)
         if abs(np.linalg.norm(self.start.attitude) - 1.0) > 1e-6:
             raise InputError(
                 "optimal.start.attitude",
@@ -208,7 +208,7 @@ class RigidDescent:
             raise InputError(
                 "optimal.torque_share", self.torque_share, "must be more than 0 and at most 1"
             )
-        for name in ("drop", "reserve"):
+        for name in ("apex_depth", "reserve"):
             if not (is_number(getattr(self, name)) and getattr(self, name) >= 0.0):
                 raise InputError(
                     f"optimal.{name}", getattr(self, name), "must be a finite number of 0 or more"
@@ -247,7 +247,7 @@ class RigidDescent:
                     f"must give {what} of at most {np.rad2deg(most):.3f} {unit}, the value of "
                     f"{limit}, but gives {np.rad2deg(value):.3f} {unit}", show_value=False,
                 )  # fmt: skip
-        slope = np.tan(self.glideslope or 0.0) * np.hypot(at[0], at[1]) - self.drop
+        slope = np.tan(self.glideslope or 0.0) * np.hypot(at[0], at[1]) - self.apex_depth
         if self.glideslope is not None and at[2] < slope:
             raise InputError(
                 "optimal.start.position", self.start.position.tolist(),
@@ -292,6 +292,6 @@ class RigidDescent:
             end_position=self.end_position, end_velocity=self.end_velocity, gravity=self.gravity,
             thrust_min=self.min_thrust_command, thrust_max=self.max_thrust_command,
             exhaust_velocity=self.lander.exhaust_velocity, dry_mass=self.dry_mass,
-            max_tilt=self.max_tilt, glideslope=self.glideslope, drop=self.drop,
+            max_tilt=self.max_tilt, glideslope=self.glideslope, apex_depth=self.apex_depth,
             max_final_tilt=np.deg2rad(5.0), tilt_rate=np.deg2rad(8.0),
         )  # fmt: skip

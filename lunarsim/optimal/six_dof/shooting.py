@@ -27,7 +27,7 @@ from lunarsim.optimal.six_dof.motion import (
 from lunarsim.optimal.six_dof.path import RigidPath
 from lunarsim.optimal.six_dof.problem import RigidDescent
 from lunarsim.optimal.six_dof.scale import EFFORT, PARAMETERS, Scale
-from lunarsim.optimal.validation import count
+from lunarsim.optimal.validation import check_count
 
 _STEPS = len(SHARES)
 _OPTIONS: dict[str, Any] = {
@@ -71,8 +71,8 @@ def shoot(
         If IPOPT does not converge.
     """
     intervals, max_iterations = (
-        count("intervals", intervals, 4),
-        count("max_iterations", max_iterations, 1),
+        check_count("intervals", intervals, 4),
+        check_count("max_iterations", max_iterations, 1),
     )
     start_time = time.perf_counter()
     guess = initial_guess(descent, intervals) if guess is None else guess.resample(intervals)

@@ -23,7 +23,7 @@ from lunarsim.optimal.six_dof.path import RigidPath
 from lunarsim.optimal.six_dof.problem import RigidDescent
 from lunarsim.optimal.six_dof.program import ProgramLayout, QuadraticProgram
 from lunarsim.optimal.six_dof.scale import Scale
-from lunarsim.optimal.validation import count
+from lunarsim.optimal.validation import check_count
 from lunarsim.typing import Array
 
 # Penalties on steps, relative to the final mass as a fraction of the initial mass: initial value,
@@ -63,8 +63,8 @@ class SuccessiveConvexification:
 
     def __init__(self, intervals: int = 30, max_programs: int = 40) -> None:
         self.intervals, self.max_programs = (
-            count("intervals", intervals, 4),
-            count("max_programs", max_programs, 1),
+            check_count("intervals", intervals, 4),
+            check_count("max_programs", max_programs, 1),
         )
         self._layout = ProgramLayout(self.intervals)
         self._solver: Any = None

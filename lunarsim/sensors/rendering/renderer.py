@@ -156,7 +156,7 @@ class Renderer:
             matrix = _camera_matrix(view, *clip)
             self._ground.draw(matrix, view.position, choice.shown, choice.level)
             coarse = bool(choice.level[choice.shown].any())
-            rock_buffer = target.over_mended if coarse else target.over
+            rock_buffer = target.corrected_depth_test_buffer if coarse else target.depth_test_buffer
             name = shading_program_name(coarse=coarse, leaks=leaks, truth=truth)
             self._shade_relief(target, rock_buffer, coarse, programs[name])
             rock_buffer.use()

@@ -24,24 +24,24 @@ class ImageTarget:
 
     Attributes
     ----------
-    depth, mended
+    depth, corrected_depth
         Depth of the relief as drawn, and corrected depth.
     colours
         Outputs of the shaders: radiance and, if requested, range, normal and identity.
     depth_only
         Framebuffer for the depth of the relief.
-    image_buffer, over, over_mended
+    image_buffer, depth_test_buffer, corrected_depth_test_buffer
         Framebuffers for the outputs: without a depth test, with a test against `depth`, and with a
-        test against `mended`.
+        test against `corrected_depth`.
     """
 
     depth: moderngl.Texture
-    mended: moderngl.Texture
+    corrected_depth: moderngl.Texture
     colours: tuple[moderngl.Texture, ...]
     depth_only: moderngl.Framebuffer
     image_buffer: moderngl.Framebuffer
-    over: moderngl.Framebuffer
-    over_mended: moderngl.Framebuffer
+    depth_test_buffer: moderngl.Framebuffer
+    corrected_depth_test_buffer: moderngl.Framebuffer
 
     @classmethod
     def of(
@@ -52,18 +52,18 @@ class ImageTarget:
         `channels` are the numbers of channels of the colour outputs.
         """
         size = (width, height)
-        depth, mended = ctx.depth_texture(size), ctx.depth_texture(size)
+        depth, corrected_depth = ctx.depth_texture(size), ctx.depth_texture(size)
         depth.compare_func = ""
         disable_filtering(depth)
         colours = tuple(ctx.texture(size, n, dtype="f4") for n in channels)
         return cls(
             depth,
-            mended,
+            corrected_depth,
             colours,
             ctx.framebuffer(depth_attachment=depth),
             ctx.framebuffer(list(colours)),
             ctx.framebuffer(list(colours), depth),
-            ctx.framebuffer(list(colours), mended),
+            ctx.framebuffer(list(colours), corrected_depth),
         )
 
 

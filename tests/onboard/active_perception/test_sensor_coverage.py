@@ -46,7 +46,7 @@ def test_a_camera_is_as_sharp_as_the_shadow_model_says(camera):
     model = ShapeMixture(np.radians(20.0), "cube")
     azimuth, depression = table_directions()
     for i, j in ((0, 12), (16, 20), (32, 30), (25, 8)):
-        q = model.visible_pixels(0.4, azimuth[i, j], depression[i, j], 150.0 / 554.3)
+        q = model.visible_q(0.4, azimuth[i, j], depression[i, j], 150.0 / 554.3)
         assert 0.4 * camera.sharpness[i, j] / (150.0 / 554.3) == pytest.approx(float(q))
     # With the Sun behind it and as low as that, rocks hide their shadows; before it they do not.
     low = int(np.argmin(abs(depression[0] - np.radians(22.0))))

@@ -85,8 +85,10 @@ def test_terrain_with_taller_rocks_is_never_called_safer(model, seed, times, den
 
     def p_of(rises):
         said = (rises, 0.01, LANDER.roughness_limit, 0.05)
-        own = {"curve": height_curve(*said), "holes": depth_curve(*said)}
-        return calibrated_safety(evidence(slope=slope, rough=0.2, density=density, **own), model)[0]
+        curves = {"curve": height_curve(*said), "holes": depth_curve(*said)}
+        return calibrated_safety(
+            evidence(slope=slope, rough=0.2, density=density, **curves), model
+        )[0]
 
     assert (p_of(worse) <= p_of(rises) + 1e-6).all()
 
@@ -111,8 +113,8 @@ def test_outside_the_domain_it_is_a_bound_and_the_map_says_so():
     p, known = calibrated_safety(sparse)
     assert not known.any()
     none = np.exp(-sparse.expected_roughness_violations)
-    assert (sparse.outside_domain_bound() == np.minimum(sparse.level.p_safe, none)).all()
-    assert (p <= np.minimum(sparse.level.p_safe, none) + 1e-6).all()
+    assert (sparse.outside_domain_bound() == np.minimum(sparse.horizontal_plane.p_safe, none)).all()
+    assert (p <= np.minimum(sparse.horizontal_plane.p_safe, none) + 1e-6).all()
     # A noise or a spacing that no scan of the fit had.
     for odd in (replace(sparse, density=sparse.density * 100, noise=1.0),
                 replace(sparse, density=sparse.density * 100, spacing=9.0)):  # fmt: skip
@@ -153,12 +155,12 @@ def test_uncertain_safety_is_reported_lower_and_at_most_the_bound_far_away():
     for odds in (-1.0, 0.5, 3.5):
         for site in (e, far):
             p, known = calibrated_safety(site, fits_of(odds, odds))
-            told = np.minimum(
+            outside = np.minimum(
                 (1.0 - MAX_CLAIM_DEFICIT) * expit(odds - GAUSSIAN_DEM.outside_margin),
                 site.outside_domain_bound(),
             )
             bounded = np.min(
-                [told, site.observed_terrain_bound(), site.p_no_rock_under_pads()], axis=0
+                [outside, site.observed_terrain_bound(), site.p_no_rock_under_pads()], axis=0
             )
             fits = np.minimum(expit(odds), site.observed_terrain_bound())
             wanted = ALMOST_CERTAINLY_SAFE_P * (
@@ -211,27 +213,27 @@ def test_the_domain_ends_where_holes_may_gape_or_the_lander_is_another():
         e = replace(evidence(**good), lander=other)
         assert e.in_domain.all() == inside
         # A scenario's own has seen its own lander, and its own holes.
-        own = CalibrationDomain(1.0, 1.0, (0.0, 1.0), (0.0, 1.0))
-        assert own.contains(replace(evidence(**good, holes=rocky(30.0)), lander=other)).all()
+        domain = CalibrationDomain(1.0, 1.0, (0.0, 1.0), (0.0, 1.0))
+        assert domain.contains(replace(evidence(**good, holes=rocky(30.0)), lander=other)).all()
 
 
 def test_nothing_exceeds_what_the_planes_leave_of_slope_or_roughness():
     e = evidence(slope=0.1, rough=0.1, level=6.0, planes=6.0)
     for name in ("p_slope", "p_roughness"):
-        some = np.full(e.level.grid.shape, 0.01, np.float32)
-        doubtful = replace(e, planes=replace(e.planes, **{name: some}))
+        some = np.full(e.horizontal_plane.grid.shape, 0.01, np.float32)
+        doubtful = replace(e, support_planes=replace(e.support_planes, **{name: some}))
         assert doubtful.observed_terrain_bound() == pytest.approx(0.04, rel=1e-5)
         assert (calibrated_safety(doubtful)[0] <= 0.0401).all()
 
 
 def test_just_under_the_limit_of_the_slope_nothing_is_surely_safe():
     good = {"rough": 0.05, "level": 6.0, "planes": 6.0, "curve": rocky(0.001)}
-    told = [
+    probability = [
         calibrated_safety(evidence(**good, slope=s), fits_of(6.0))[0].max() for s in (0.8, 0.97)
     ]
-    assert told[0] > 0.99
+    assert probability[0] > 0.99
     # All the rest says that it is safe; no rocks can be unseen.
-    assert told[1] <= 0.85 + 1e-6
+    assert probability[1] <= 0.85 + 1e-6
     assert not calibrated_safety(evidence(**good, slope=0.97), fits_of(6.0))[1].any()
 
 
@@ -266,7 +268,8 @@ def test_evidence_that_does_not_belong_together_is_refused():
     other = Grid(1.0, 0.0, 0.5, SIDE, SIDE)
     for name, value in (
         ("noise", 0.0), ("noise", np.nan), ("spacing", np.inf), ("density", np.ones((2, 2))),
-        ("planes", replace(e.planes, grid=other)), ("nominal", replace(e.nominal, grid=other)),
+        ("support_planes", replace(e.support_planes, grid=other)),
+        ("nominal", replace(e.nominal, grid=other)),
     ):  # fmt: skip
         with pytest.raises(InputError, match=rf"calibration\.{name}"):
             replace(e, **{name: value})

@@ -86,7 +86,7 @@ def test_each_side_of_the_packaged_domain_has_its_stage():
     assert not far.in_domain.any()
     for e, stages_of in ((near, ((0.3, 0.8),)), (far, ((0.3, 0.8), (-0.5, 0.6)))):
         z = (e.features(e.observed) @ np.array(PACKAGED.weights).T).min(axis=1)
-        z = z.reshape(e.level.grid.shape)
+        z = z.reshape(e.horizontal_plane.grid.shape)
         p, known = calibrated_safety(e, refit=refit())
         assert known.all()
         expected = np.min([expit(a + b * z) for a, b in stages_of], axis=0)

@@ -70,9 +70,9 @@ def test_an_engine_that_falls_short_keeps_the_lift(up):
 
 
 @pytest.mark.parametrize("give", [thrust_lift_first, thrust_along])
-@pytest.mark.parametrize("asked", [(6.0, 0.0, -9.0), (0.3, 0.4, -5.0), (0.0, 0.0, -1.0)])
-def test_no_thrust_leans_more_than_it_may_however_much_it_is_to_pull_down(give, asked):
-    lander, limit, a = Lander(), np.deg2rad(120.0), np.array(asked)
+@pytest.mark.parametrize("acceleration", [(6.0, 0.0, -9.0), (0.3, 0.4, -5.0), (0.0, 0.0, -1.0)])
+def test_no_thrust_leans_more_than_it_may_however_much_it_is_to_pull_down(give, acceleration):
+    lander, limit, a = Lander(), np.deg2rad(120.0), np.array(acceleration)
     command = give(a, 1500.0, lander, 0.3, limit)
     along = axis(command)
     assert along[2] == pytest.approx(np.cos(limit), abs=1e-9)
@@ -107,10 +107,10 @@ def test_braking_keeps_the_lift_unless_asked_to_keep_the_direction():
         ({"max_tilt": 1.5}, thrust_to_command),
         ({"max_tilt": 2.0, "keeps_thrust_direction": True}, thrust_along),
     ):
-        asked = Braking(**changed).build_command(a, 1500.0, lander, 0.0, 0.0)
+        command = Braking(**changed).build_command(a, 1500.0, lander, 0.0, 0.0)
         same = give(a, 1500.0, lander, 0.0, changed["max_tilt"])
-        assert asked.thrust == same.thrust
-        assert asked.attitude == pytest.approx(same.attitude)
+        assert command.thrust == same.thrust
+        assert command.attitude == pytest.approx(same.attitude)
     with pytest.raises(InputError, match="max_tilt"):
         Braking(max_tilt=3.2)
 
@@ -126,8 +126,8 @@ def test_time_to_go_of_braking_follows_the_jerk_until_its_end():
 
 def test_the_descent_after_the_approach_may_have_a_speed_of_its_own():
     lander, site = Lander(), np.zeros(3)
-    plain, own = Approach(vertical_speed=1.5), Approach(vertical_speed=1.5, descent_speed=0.9)
-    for approach, rate in ((plain, 1.5), (own, 0.9)):
+    plain, slower = Approach(vertical_speed=1.5), Approach(vertical_speed=1.5, descent_speed=0.9)
+    for approach, rate in ((plain, 1.5), (slower, 0.9)):
         assert approach.end(site, lander).velocity[2] == -1.5
         # Both ends are the centre of mass's: pads stand lower.
         assert approach.end(site, lander).position[2] == 10.0 + lander.com_height
@@ -218,8 +218,8 @@ def test_look_angles_are_those_of_the_body():
     leant = attitude_from_thrust(quat_rotate(back, UP), 0.0)
     lower, _ = window.angles(estimate((0.0, 0.0, 100.0), attitude=leant), west[:1])
     assert np.rad2deg(lower[0]) == pytest.approx(75.0)
-    assert window.sees(here, west).tolist() == [True, True, False]
-    assert not window.sees(estimate(attitude=leant), west[0])
+    assert window.is_visible(here, west).tolist() == [True, True, False]
+    assert not window.is_visible(estimate(attitude=leant), west[0])
 
 
 def test_a_window_needs_an_opening():

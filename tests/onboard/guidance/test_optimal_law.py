@@ -95,7 +95,7 @@ def test_a_plan_that_takes_too_long_is_late_and_the_apollo_law_flies():
     for t in (0.0, 0.1, 1.1, 2.1):
         got = late.command(estimate(time=t), END, t, 34.0 - t)
         assert np.array_equal(got, apollo.command(estimate(), END, t, late.arrival - t))
-    assert [(t, name, told["reason"]) for t, name, told in late.events] == [
+    assert [(t, name, details["reason"]) for t, name, details in late.events] == [
         (0.0, "guidance-fallback", "late")
     ]
     assert late.plans == 0
@@ -126,9 +126,9 @@ def test_what_cannot_be_reached_falls_back_once_and_plans_again_when_it_can():
 def test_on_a_round_moon_that_turns_it_makes_up_for_what_it_feels(nominal):
     """Turned a hundred times too fast, so that it shows within half a minute."""
     field = RoundMoon(spin=3e-4, latitude=0.4).gravity(MOON)
-    told = SimpleNamespace(**{**vars(BRIEFING), "nonuniform_gravity": field})
+    briefing_with_field = SimpleNamespace(**{**vars(BRIEFING), "nonuniform_gravity": field})
     r, v, mass, flight = flown(
-        OptimalLaw(intervals=20), briefing=told, pull=field.free_fall_acceleration
+        OptimalLaw(intervals=20), briefing=briefing_with_field, pull=field.free_fall_acceleration
     )
     untold = flown(OptimalLaw(intervals=20), pull=field.free_fall_acceleration)
     plain = flown(OptimalLaw(intervals=20))
@@ -139,8 +139,8 @@ def test_on_a_round_moon_that_turns_it_makes_up_for_what_it_feels(nominal):
     assert flight.events == []
     assert 1500.0 - mass == pytest.approx(1500.0 - plain[2], rel=0.1)  # it weighs less
     # Where there is no plan, the Apollo law makes up for it.
-    late = OptimalLaw(iterations=1, intervals=10).build(told, 0.0)
-    apollo = ApolloLaw().build(told, 0.0)
+    late = OptimalLaw(iterations=1, intervals=10).build(briefing_with_field, 0.0)
+    apollo = ApolloLaw().build(briefing_with_field, 0.0)
     got = late.command(estimate(), END, 0.0, 34.0)
     assert np.array_equal(got, apollo.command(estimate(), END, 0.0, late.arrival))
 
@@ -214,11 +214,11 @@ def searches(monkeypatch):
 
 def test_plans_are_made_under_the_limits_of_the_approach(searches):
     approach = replace(Approach(), reserve=40.0, glideslope=0.3, max_tilt=0.6, throttle_margin=0.1)
-    told = SimpleNamespace(**{**vars(BRIEFING), "software": SimpleNamespace(approach=approach)})
-    OptimalLaw(intervals=10).build(told, 0.0).command(estimate(), END, 0.0, 34.0)
+    changed = SimpleNamespace(**{**vars(BRIEFING), "software": SimpleNamespace(approach=approach)})
+    OptimalLaw(intervals=10).build(changed, 0.0).command(estimate(), END, 0.0, 34.0)
     d, throttle = searches[0][0], LANDER.thrust_max - LANDER.thrust_min
     assert d.dry_mass == LANDER.dry_mass + 40.0
-    assert (d.glideslope, d.max_tilt, d.drop) == (0.3, 0.6, 0.5)
+    assert (d.glideslope, d.max_tilt, d.apex_depth) == (0.3, 0.6, 0.5)
     assert d.thrust_min == LANDER.thrust_min + 0.1 * throttle
     assert d.thrust_max == LANDER.thrust_max - 0.1 * throttle
     assert d.thrust_slack == 0.1 * throttle
@@ -229,8 +229,8 @@ def test_plans_are_made_under_the_limits_of_the_approach(searches):
 def test_some_thrust_is_kept_back_whatever_the_margin(searches, margin):
     """A plan that takes all the engine has leaves nothing to answer a disturbance with."""
     approach = replace(Approach(), throttle_margin=margin)
-    told = SimpleNamespace(**{**vars(BRIEFING), "software": SimpleNamespace(approach=approach)})
-    OptimalLaw(intervals=10).build(told, 0.0).command(estimate(), END, 0.0, 34.0)
+    changed = SimpleNamespace(**{**vars(BRIEFING), "software": SimpleNamespace(approach=approach)})
+    OptimalLaw(intervals=10).build(changed, 0.0).command(estimate(), END, 0.0, 34.0)
     d, throttle = searches[0][0], LANDER.thrust_max - LANDER.thrust_min
     assert d.thrust_max == pytest.approx(LANDER.thrust_max - 0.04 * throttle)
     assert d.thrust_max + d.thrust_slack == pytest.approx(LANDER.thrust_max)
@@ -256,7 +256,7 @@ def test_a_plan_begins_when_its_first_command_takes_effect(searches):
     got = flight.command(estimate(), END, 0.0, 34.0)
     path = searches[0][1]
     assert np.allclose(path.position[0], R + 0.5 * V, atol=1e-5)
-    assert np.allclose(got, path.thrust[0], atol=1e-4)
+    assert np.allclose(got, path.thrust_acceleration[0], atol=1e-4)
     assert flight.arrival == path.duration
 
 
@@ -272,10 +272,10 @@ def test_a_divert_is_seen_before_the_next_plan_is_due(searches):
 def test_apollo_takes_over_with_a_time_of_its_own():
     one = replace(END, position=END.position[None, :])
     limits = BRIEFING.software.approach.limits
-    own = float(divert_cost(estimate(), one, LANDER, MOON, limits=limits).time_to_go[0])
+    optimal_time = float(divert_cost(estimate(), one, LANDER, MOON, limits=limits).time_to_go[0])
     flight = OptimalLaw(iterations=1, intervals=10).build(BRIEFING, 0.0)
-    flight.command(estimate(), END, 0.0, own + 25.0)
-    assert flight.arrival == pytest.approx(own)
+    flight.command(estimate(), END, 0.0, optimal_time + 25.0)
+    assert flight.arrival == pytest.approx(optimal_time)
 
 
 def test_a_plan_that_breaks_the_limits_of_thrust_is_not_flown(monkeypatch):
@@ -283,7 +283,7 @@ def test_a_plan_that_breaks_the_limits_of_thrust_is_not_flown(monkeypatch):
     flight = OptimalLaw(intervals=10).build(BRIEFING, 0.0)
     flight.command(estimate(), END, 0.0, 34.0)
     assert flight.plans == 0
-    assert [(name, told["reason"]) for _, name, told in flight.events] == [
+    assert [(name, details["reason"]) for _, name, details in flight.events] == [
         ("guidance-fallback", "thrust")
     ]
 
@@ -306,7 +306,7 @@ def test_a_solver_that_finds_no_path_where_there_is_one_is_reported(monkeypatch,
     monkeypatch.setattr(optimal_law, "search_near", lambda *given, **more: None)
     flight = OptimalLaw(intervals=10).build(BRIEFING, 0.0)
     flight.command(estimate(), END, 0.0, expected)
-    assert [told["reason"] for _, _, told in flight.events] == ["solver"]
+    assert [details["reason"] for _, _, details in flight.events] == ["solver"]
 
 
 def test_a_second_solver_that_fails_is_no_proof(monkeypatch):
@@ -317,7 +317,7 @@ def test_a_second_solver_that_fails_is_no_proof(monkeypatch):
     monkeypatch.setattr(optimal_law, "search_near", lambda *given, **more: None)
     monkeypatch.setattr(Planner, "at_time", fails)
     flight.command(estimate(), END, 0.0, 34.0)
-    assert [told["reason"] for _, _, told in flight.events] == ["solver"]
+    assert [details["reason"] for _, _, details in flight.events] == ["solver"]
 
 
 def test_a_lander_short_of_fuel_or_low_over_the_end_plans_under_limits_that_it_can_keep(searches):

@@ -159,8 +159,8 @@ def test_odometry_slows_the_drift(world):
                 }
                 inflated += len(descent.filter.events)
                 found = descent.estimate()
-                off, own = VELOCITY - found.velocity, found.covariance[3:6, 3:6]
-                nees = nees.plus(normalised_squared_error(off, own), 3)
+                off, velocity_covariance = VELOCITY - found.velocity, found.covariance[3:6, 3:6]
+                nees = nees.plus(normalised_squared_error(off, velocity_covariance), 3)
         grown[scans] = np.sqrt(np.mean(np.square(gaps)))
     # The first comparisons use the same scan and share its error: in 3 of 420 flights of other
     # draws the monitor inflated the covariance. At 1 %, more than three of 12 have a chance of
@@ -186,9 +186,9 @@ def test_flat_terrain_gives_no_motion_information(relief):
         errors = StartSigmas(30.0, 0.3, np.deg2rad(0.5))
         descent = Descent(waves, seed, nowhere, errors).fly(4.0, aim=np.zeros(3))
         found = descent.estimate()
-        off, own = VELOCITY - found.velocity, found.covariance[3:6, 3:6]
-        assert (np.abs(off) < 4.5 * np.sqrt(own.diagonal())).all()
-        nees = nees.plus(normalised_squared_error(off, own), 3)
+        off, velocity_covariance = VELOCITY - found.velocity, found.covariance[3:6, 3:6]
+        assert (np.abs(off) < 4.5 * np.sqrt(velocity_covariance.diagonal())).all()
+        nees = nees.plus(normalised_squared_error(off, velocity_covariance), 3)
     # On very flat terrain, errors are up to twice the estimated ones.
     assert nees.ratio < ratio_bounds(nees.degrees, 2.0**2 if relief == 0.0 else 1.0)[1]
 
@@ -207,8 +207,8 @@ def test_odometry_does_not_change_unobservable_errors(world):
         block = state.block("lidar flash")
         sigma = np.sqrt(state.covariance.diagonal()[block])
         moved.append(state.value("lidar flash") / sigma)
-        told = max(0.1**2 - sigma[0] ** 2, 0.0)
-        assert abs(state.value("lidar flash")[0]) < 4.0 * np.sqrt(told) + 0.01
+        information_variance = max(0.1**2 - sigma[0] ** 2, 0.0)
+        assert abs(state.value("lidar flash")[0]) < 4.0 * np.sqrt(information_variance) + 0.01
     assert np.abs(moved).max() < 4.0
 
 
@@ -262,43 +262,45 @@ def test_small_scans_do_not_end_lock(locked):
     assert descent.nees() < 40.0
 
 
-def told_of_height(descent, scans):
+def measure_height_information(descent, scans):
     """Return the height information of repeated scans from one position, 1/m^2."""
-    state, place, told = descent.filter.state, descent.filter.frame.columns[2], []
+    state, place, height_information = descent.filter.state, descent.filter.frame.columns[2], []
     update_with_information = state.update_with_information
 
     def noted(part, information, *args, **options):
         if place in part:
             at = list(part).index(place)
-            told.append(information[at, at])
+            height_information.append(information[at, at])
         return update_with_information(part, information, *args, **options)
 
     state.update_with_information = noted
     for _ in range(scans):
         descent.filter.take("flash", descent.scan(np.zeros(3)), descent.time)
-    assert len(told) == scans
-    return np.array(told)
+    assert len(height_information) == scans
+    return np.array(height_information)
 
 
 def test_a_post_counts_once_however_often_it_is_seen(locked):
     """The k-th use has the weight 1 / (k (k + 1))."""
-    told = told_of_height(locked, 4)
+    height_information = measure_height_information(locked, 4)
     use = np.arange(1.0, 5.0)
     expected = 1.0 / (0.1**2 * use * (use + 1.0) + 0.03**2)
-    assert told / told[0] == pytest.approx(expected / expected[0], rel=0.25)
+    assert height_information / height_information[0] == pytest.approx(
+        expected / expected[0], rel=0.25
+    )
 
 
 def test_model_noise_reduces_information(world, locked, monkeypatch):
-    told = []
+    height_information = []
     for sigma in (0.03, 1.0):
         descent = copy.deepcopy(locked, {id(world): world})
         matcher = descent.filter.matcher
         monkeypatch.setattr(map_matcher, "MODEL_SIGMA_M", sigma)
         matcher.prior = matcher.prior
-        told.append(told_of_height(descent, 1)[0])
+        height_information.append(measure_height_information(descent, 1)[0])
     # A first use: twice the variance of posts, and that of a scan's mean.
     expected = (2.0 * 0.1**2 + 1.0) / (2.0 * 0.1**2 + 0.03**2)
-    assert told[0] / told[1] == pytest.approx(expected, rel=0.2)
+    assert height_information[0] / height_information[1] == pytest.approx(expected, rel=0.2)
 
 
 @pytest.mark.parametrize(("share", "least"), [(0.05, 5), (0.2, 2)])
@@ -366,7 +368,7 @@ def test_without_a_map_scans_contain_nothing_about_position_and_azimuth(world):
     errors = StartSigmas(15.0, 1.0, np.deg2rad(0.3))
     descent = Descent(world, 3, errors=errors)
     descent.filter = Navigator(descent.inertial, errors, instruments={"flash": LIDAR.calibration()})
-    told = descent.estimate().covariance
+    before = descent.estimate().covariance
     state, taken = descent.filter.state, 0
     block = state.covariance[state.block(MAP), state.block(MAP)].copy()
     for _ in range(6):
@@ -374,9 +376,9 @@ def test_without_a_map_scans_contain_nothing_about_position_and_azimuth(world):
         taken = descent.filter.monitors["flash scans"].dof
         p = descent.estimate().covariance
         # Azimuth and position of the site: as uncertain as the briefing.
-        assert p[8, 8] >= (1.0 - 2e-3) * told[8, 8]
-        assert (np.diag(p)[:2] >= (1.0 - 2e-3) * np.diag(told)[:2]).all()
-        assert p[6, 6] < told[6, 6]
+        assert p[8, 8] >= (1.0 - 2e-3) * before[8, 8]
+        assert (np.diag(p)[:2] >= (1.0 - 2e-3) * np.diag(before)[:2]).all()
+        assert p[6, 6] < before[6, 6]
     assert taken > 100
     now = state.covariance[state.block(MAP), state.block(MAP)]
 
@@ -389,17 +391,17 @@ def test_from_a_start_that_is_far_off_scans_contain_nothing_about_place_and_yaw(
     errors = StartSigmas(15.0, speed, np.deg2rad(turn))
     descent = Descent(world, 0, errors=errors)
     descent.filter = Navigator(descent.inertial, errors, instruments={"flash": LIDAR.calibration()})
-    told = np.diag(descent.estimate().covariance)
+    before = np.diag(descent.estimate().covariance)
     # All that can be had: the way that the told velocity points.
     way = np.linalg.norm(descent.inertial.velocity[:2]) * np.deg2rad(turn) / speed
     for _ in range(8):
         descent.fly(0.5)
         now = np.diag(descent.estimate().covariance)
-        assert (now[:2] > 0.998 * told[:2]).all()
-        assert now[8] > 0.998 * told[8] / (1.0 + way**2)
+        assert (now[:2] > 0.998 * before[:2]).all()
+        assert now[8] > 0.998 * before[8] / (1.0 + way**2)
     assert descent.filter.monitors["flash scans"].dof > 100
     assert now[3:6].max() < 0.3**2
-    assert now[6:8].max() < 1.02 * told[6:8].max()
+    assert now[6:8].max() < 1.02 * before[6:8].max()
 
 
 def test_map_rotates_when_tilt_is_corrected(world):
@@ -461,4 +463,4 @@ def test_unspecified_scanner_error_is_detected(world, fault):
         descent = Descent(world, seed, lidar=replace(LIDAR, **fault)).fly(5.0)
         sigma = np.sqrt(np.diag(descent.estimate().covariance))[KEEP]
         assert descent.estimate().lost or (np.abs(descent.error()) < 5.0 * sigma).all()
-        assert descent.filter.found
+        assert descent.filter.has_located

@@ -73,7 +73,7 @@ def test_jacobians_match_finite_differences():
     for i in range(11):
         error = np.zeros(11)
         error[i] = 1e-6
-        moved.append((seen.moved(error).points()[0] - p) / 1e-6)
+        moved.append((seen.corrected_by(error).points()[0] - p) / 1e-6)
     moved = np.array(moved).T
     assert seen.point_jacobian(p) == pytest.approx(moved, abs=1e-3)
     assert seen.jacobian(p[None], n[None])[0] == pytest.approx(n @ moved, abs=1e-3)
@@ -189,9 +189,9 @@ def test_errors_that_a_map_reports_as_correlated_count_as_fewer(world):
     alike = PriorMap(grid, alone.elevation, 0.1, 1.0)
     before = np.diag(np.square([0.05, 0.05, 0.3, 1e-3, 1e-3, 1e-3]))
     scan = scanned(world, rng)
-    told = [fitted(scan, p, before, np.zeros(6), 0.1**2 + 0.03**2)[2] for p in (alone, alike)]
+    fits = [fitted(scan, p, before, np.zeros(6), 0.1**2 + 0.03**2)[2] for p in (alone, alike)]
     assert alike.equivalent_correlated_posts > 20.0
-    ratio = told[0].information[2, 2] / told[1].information[2, 2]
+    ratio = fits[0].information[2, 2] / fits[1].information[2, 2]
     assert 0.5 * alike.equivalent_correlated_posts < ratio < 1.1 * alike.equivalent_correlated_posts
 
 
@@ -201,13 +201,13 @@ def test_where_the_place_is_open_slopes_make_the_level_uncertain(world):
     grid = Grid.centred((0.0, 0.0), 120.0, 0.5)
     prior = simulate_survey(world.terrain, grid, rng, sigma=0.6)
     scan = scanned(world, rng)
-    told = []
+    information = []
     for far in (1.5, 15.0):
         before = np.diag(np.square([far, far, 0.3, 1e-3, 1e-3, 1e-3]))
-        told.append(fitted(scan, prior, before, np.zeros(6), 0.6**2)[2].information)
-    for one in told:
+        information.append(fitted(scan, prior, before, np.zeros(6), 0.6**2)[2].information)
+    for one in information:
         assert one[0, 0] < 0.05 * one[2, 2], "only the height"
-    assert told[1][2, 2] < 0.9 * told[0][2, 2]
+    assert information[1][2, 2] < 0.9 * information[0][2, 2]
 
 
 def test_fit_without_data_gives_no_information():

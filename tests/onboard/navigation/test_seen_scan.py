@@ -31,7 +31,7 @@ def seen() -> CorrectedScan:
 def test_points_move_as_the_scan_does_with_a_small_error(error):
     scan, change = seen(), np.zeros(11)
     change[error] = 1e-5
-    ahead, behind = scan.moved(change).points(), scan.moved(-change).points()
+    ahead, behind = scan.corrected_by(change).points(), scan.corrected_by(-change).points()
     wanted = (ahead - behind) / 2e-5
     for point, way in zip(scan.points(), wanted, strict=True):
         assert scan.point_jacobian(point)[:, error] == pytest.approx(way, abs=1e-5)

@@ -41,7 +41,7 @@ def test_model_of_half_spheres_from_above_is_the_papers():
     # The mean of half an ellipse lies at 4 / (3 pi) of its axis.
     assert unit.along == pytest.approx(-4.0 / (3.0 * np.pi) * (tip + rim), rel=0.02)
     assert unit.width == pytest.approx(np.sqrt(12.0) * 0.5, rel=0.05)
-    assert unit.side == pytest.approx(0.0, abs=0.05)
+    assert unit.across == pytest.approx(0.0, abs=0.05)
 
 
 def test_model_of_cubes_from_above_is_a_rectangle():
@@ -62,7 +62,7 @@ def test_a_rock_hides_its_shadow_from_a_camera_on_the_suns_side():
     assert (np.diff(area) > 0.0).all()
     assert (model.patch(np.pi, depression).area >= area).all()
     # Seen from the left the patch leans to the right, and the other way round.
-    right, left = model.patch(np.pi / 2, 0.4).side, model.patch(-np.pi / 2, 0.4).side
+    right, left = model.patch(np.pi / 2, 0.4).across, model.patch(-np.pi / 2, 0.4).across
     assert right == pytest.approx(-left)
     assert right > 0.1
 
@@ -127,25 +127,25 @@ def test_from_observation_to_observation_centres_differ_by_what_is_said(height):
     model = ShadowModel(np.radians(20.0), RockModel("cube", burial=(0.0, 0.0)))
     rocks = terrain.rocks
     tree = cKDTree(np.column_stack((rocks.x, rocks.y)))
-    looks, said = [], []
+    errors, covariances = [], []
     for step in range(5):
         state, camera, counts = picture(terrain, (-0.6 * height + step, 0.3 * step, height))
         seen = detect_rocks(counts, camera, state, SUN, model=model)
         distance, nearest = tree.query(seen.terrain_xy)
         look = np.full((len(rocks), 2), np.nan)
-        own = np.full((len(rocks), 2, 2), np.nan)
+        covariance = np.full((len(rocks), 2, 2), np.nan)
         ok = distance < rocks.a[nearest]
         view = camera.view(state)
         true = np.column_stack((rocks.x, rocks.y, np.zeros(len(rocks))))[nearest[ok]]
         centre = view.pinhole.project((true - view.position) @ view.axes)
         look[nearest[ok]] = seen.pixel[ok] - centre
-        own[nearest[ok]] = seen.independent_covariance[ok]
-        looks.append(look)
-        said.append(own)
+        covariance[nearest[ok]] = seen.independent_covariance[ok]
+        errors.append(look)
+        covariances.append(covariance)
         left = seen.pixel_covariance - seen.independent_covariance
         assert (np.linalg.eigvalsh(left) > -1e-12).all()
-    change = np.diff(looks, axis=0).reshape(-1, 2)
-    expected = (np.array(said)[1:] + np.array(said)[:-1]).reshape(-1, 2, 2)
+    change = np.diff(errors, axis=0).reshape(-1, 2)
+    expected = (np.array(covariances)[1:] + np.array(covariances)[:-1]).reshape(-1, 2, 2)
     both = np.isfinite(change).all(1)
     assert both.sum() > 40
     squared = np.einsum("ni,nij,nj->n", change[both], np.linalg.inv(expected[both]), change[both])
@@ -335,7 +335,7 @@ def test_real_image_gives_boulders():
     labels = json.loads((real.DATA / f"{real.NAME}_labels.json").read_text())
     result = real.match_labels(seen, labels)
     wide = result["width"] >= 3
-    assert result["true"] / result["finds"] >= 0.9
+    assert result["true"] / result["detections"] >= 0.9
     assert result["hit"][wide].mean() >= 0.75
     angle, _, _ = mean_direction(shadow_directions(image, seen))
     assert abs(np.degrees(angle) + 34.8) < 10.0
@@ -414,8 +414,8 @@ def test_small_patches_scatter_more_along_and_across_the_sun(small, monkeypatch)
         level = SUN[:2] / np.hypot(*SUN[:2])
         axes = np.array([level, [-level[1], level[0]]]).T
         back = np.linalg.inv(by_place @ axes)
-        own = back @ seen.independent_covariance @ np.swapaxes(back, 1, 2)
-        return np.sqrt(np.diagonal(own, axis1=1, axis2=2)), seen.radius
+        covariance = back @ seen.independent_covariance @ np.swapaxes(back, 1, 2)
+        return np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), seen.radius
 
     default, _ = scatter()
     plain, radius = scatter(0.0, 0.0)

@@ -112,13 +112,11 @@ def test_observations_are_as_sharp_as_shadows_along_the_plane_are_long(scene):
     place = np.dstack((xy, plane.heights(xy.reshape(-1, 2)).reshape(xy.shape[:2])))
     focal = float(np.sqrt(view.fx * view.fy))
     model = scene.model.under(float(np.arcsin(plane.level_direction(scene.sun)[2])))
-    sharp = model.visible_pixels(
-        1.0, *viewing_geometry(place, view.position, focal, scene.sun, plane)
-    )
+    sharp = model.visible_q(1.0, *viewing_geometry(place, view.position, focal, scene.sun, plane))
     looked = found > 0.0
     assert looked.sum() > 50
     np.testing.assert_allclose(found[looked], sharp[looked], rtol=1e-5)
-    level = scene.model.visible_pixels(
+    level = scene.model.visible_q(
         1.0, *viewing_geometry(place, view.position, focal, scene.sun, plane)
     )
     assert np.median(abs(level[looked] / sharp[looked] - 1.0)) > 0.03

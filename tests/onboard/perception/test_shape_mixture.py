@@ -31,8 +31,8 @@ def patches(model, rng, count=400, slope=0.0, radius=None):
     return r, (length, width, azimuth, depression, pixel, pixel, 0.4)
 
 
-def taught(model, rng, told=None, slope=0.0):
-    mixture = ShapeMixture(SUN, told)
+def taught(model, rng, expected_shape=None, slope=0.0):
+    mixture = ShapeMixture(SUN, expected_shape)
     for _ in range(12):
         _, seen = patches(model, rng, slope=slope)
         mixture.update_fractions(mixture.estimate_radius(*seen).weight, np.full(400, 8.0))
@@ -42,7 +42,7 @@ def taught(model, rng, told=None, slope=0.0):
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("model", [HALF_SPHERES, ShapeMixture(SUN)], ids=["one", "mixture"])
 def test_of_terrain_above_the_camera_no_pixel_is_seen(model):
-    q = model.visible_pixels(np.ones(3), 0.3, np.array([-0.04, 0.0, 0.5]), 0.05)
+    q = model.visible_q(np.ones(3), 0.3, np.array([-0.04, 0.0, 0.5]), 0.05)
     assert q[0] == q[1] == 0.0
     assert q[2] > 1.0
 
@@ -68,15 +68,15 @@ def test_one_known_shape_is_the_mean_by_inverse_variances():
 
 
 @pytest.mark.parametrize(
-    ("name", "told", "off"),
+    ("name", "expected_shape", "off"),
     # A cube throws nearly the shadow of a rounded rock as high as wide, whose disc is larger.
     [("cube", "mixed", 0.12), ("low", "cube", 0.06), ("cube", None, 0.12)],
 )
 def test_shapes_are_estimated_from_the_shadows_whatever_the_mission_expects(
-    models, name, told, off
+    models, name, expected_shape, off
 ):
     rng = np.random.default_rng(2)
-    mixture = taught(models[name], rng, told)
+    mixture = taught(models[name], rng, expected_shape)
     assert mixture.shape_fractions.argmax() == NAMES.index(name)
     assert mixture.shape_fractions[NAMES.index(name)] > 0.6
     r, seen = patches(models[name], rng)
@@ -137,11 +137,11 @@ def test_a_shape_is_possible_into_however_many_slopes_its_weight_is_divided(mode
     assert of_shape.min() < of_shape.max()
 
 
-@pytest.mark.parametrize("told", ["cube", "mixed"])
-def test_rounded_rocks_nearly_as_high_as_wide_are_not_taken_for_small_cubes(models, told):
+@pytest.mark.parametrize("expected_shape", ["cube", "mixed"])
+def test_rounded_rocks_nearly_as_high_as_wide_are_not_taken_for_small_cubes(models, expected_shape):
     """Of 0.27 m, their longer half axes are 0.30 m in the mean; read as cubes, 0.18 m."""
     rng = np.random.default_rng(9)
-    mixture = taught(models["tall"], rng, told)
+    mixture = taught(models["tall"], rng, expected_shape)
     r, seen = patches(models["tall"], rng, 1000, radius=0.27)
     read = mixture.estimate_radius(*seen)
     chance = mixture.probability_longer_than(0.25, read.radius, read.sigma)
@@ -189,8 +189,10 @@ def test_half_spheres_are_distinguished_from_cubes_sunk_in_where_the_mission_exp
     rng = np.random.default_rng(12)
     r, seen = patches(HALF_SPHERES, rng, 1000)
     ratio = {
-        told: np.median(taught(HALF_SPHERES, rng, told).estimate_radius(*seen).radius / r)
-        for told in ("hemisphere", None)
+        expected_shape: np.median(
+            taught(HALF_SPHERES, rng, expected_shape).estimate_radius(*seen).radius / r
+        )
+        for expected_shape in ("hemisphere", None)
     }
     assert ratio["hemisphere"] == pytest.approx(1.0, abs=0.06)
     assert ratio[None] < 0.85

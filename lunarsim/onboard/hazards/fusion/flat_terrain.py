@@ -107,7 +107,7 @@ def no_undetected_rock_probability(
         site_evidence.noise_ratio > NOISE_RATIO_RANGE[1]
         or site_evidence.spacing_ratio > SPACING_RATIO_RANGE[1]
     ):
-        return np.zeros(site_evidence.level.grid.shape)
+        return np.zeros(site_evidence.horizontal_plane.grid.shape)
     return np.asarray(
         np.maximum(np.exp(-_UNDETECTED_ROCK_FACTOR * site_evidence.expected_hazards), p_none_missed)
     )

@@ -37,7 +37,7 @@ from lunarsim.typing import Array
 # A height offset of a scan is corrected if it exceeds this many standard deviations and this
 # height, m.
 _MIN_OFFSET_SIGMAS, _MIN_OFFSET_M = 5.0, 0.01
-Judgement = Literal["calibrated", "level", "planes"]
+SafetyTest = Literal["calibrated", "level", "planes"]
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class GaussianDemMapperSettings:
     sensor: str = quantity("flash", help="name of the LiDAR whose scans are mapped")
     posting: float = quantity(0.2, "m", gt=0, help="side of a map cell")
     size: float = quantity(100.0, "m", gt=0, help="side of the square map centred on the target")
-    safety: Judgement = quantity(
+    safety: SafetyTest = quantity(
         "calibrated",
         help="safety test: calibrated (calibrated probability that slope, roughness and belly "
         "clearance are within the limits), level (uncalibrated, from the highest and "
@@ -160,7 +160,7 @@ class GaussianDemMapper(HazardMapper):
         grid: Grid,
         lander: Lander,
         *,
-        safety: Judgement = "calibrated",
+        safety: SafetyTest = "calibrated",
         rocks: RockExpectation | None = None,
         refit: ScenarioCalibration | None = None,
         interval: float = 0.0,

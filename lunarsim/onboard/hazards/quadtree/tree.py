@@ -199,7 +199,7 @@ class QuadtreeMap:
         return self._points
 
     @property
-    def cells(self) -> int:
+    def cell_count(self) -> int:
         """Number of cells of all sizes in the tree."""
         return self._used[0]
 
@@ -272,7 +272,7 @@ class QuadtreeMap:
         """Return the sides of cells (n,), m, from their indices `nodes` (n,)."""
         return np.asarray(self.side / 2.0 ** self.tree.depth[nodes])
 
-    def number(self, nodes: Nodes) -> NDArray[np.int32]:
+    def point_counts(self, nodes: Nodes) -> NDArray[np.int32]:
         """Return the number of points in cells (n,), from their indices `nodes` (n,)."""
         return np.asarray(self.tree.count[nodes])
 

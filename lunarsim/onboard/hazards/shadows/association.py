@@ -162,7 +162,7 @@ def is_dark_at_patch(
     plane on which shadows fall. For a shadow out of view, the nearest pixel at the edge is tested.
     """
     s = np.array([sun[0], sun[1]]) / np.hypot(sun[0], sun[1])
-    offset = np.stack((unit_patches.along, unit_patches.side), -1) @ np.array(
+    offset = np.stack((unit_patches.along, unit_patches.across), -1) @ np.array(
         [[s[0], s[1]], [-s[1], s[0]]]
     )
     middle = rocks.xyz[index]

@@ -79,7 +79,7 @@ class ClearEvidence:
         Shadow model, which predicts the number of dark pixels of a rock.
     diameters
         Diameters of the rocks (n,), ascending, m.
-    number
+    number_density
         Expected number of rocks of these sizes per area (n,), 1/m^2.
     rates
         Detection rates, including the rate at which positions with a rock are declared free.
@@ -100,7 +100,7 @@ class ClearEvidence:
         grid: Grid,
         model: ShadowModel | ShapeMixture,
         diameters: Array,
-        number: Array,
+        number_density: Array,
         rates: DetectionRates,
     ) -> None:
         self.grid = grid
@@ -110,7 +110,7 @@ class ClearEvidence:
         self._low_rocks = ShadowModel(model.elevation, LOW_POWER)
         self.rates = rates
         self._radius = 0.5 * diameters
-        self._number = np.maximum(number, _MIN_DENSITY)
+        self._number = np.maximum(number_density, _MIN_DENSITY)
         # Sizes within a ratio share one test.
         step = np.log(diameters / diameters[0]) / np.log(_SIZE_CLASS_RATIO)
         first = np.minimum((step + 1e-9).astype(int), _MAX_SIZE_CLASSES - 1)
@@ -198,7 +198,7 @@ class ClearEvidence:
             model_on_plane(self.model, plane, sun),
             model_on_plane(self._low_rocks, plane, sun),
         )
-        sharpness = model.visible_pixels(
+        sharpness = model.visible_q(
             1.0, azimuth, depression, pixel * self.rates.relative_edge_width(blur)
         )
         view, place = plane.level_view(view), plane.level_points(place)
@@ -281,7 +281,7 @@ class ClearEvidence:
         """Minimum diameter of the rocks of each size class (sizes,), ascending, m."""
         return np.asarray(2.0 * self._tested)
 
-    def ratios(self) -> NDArray[np.float32]:
+    def untracked_rock_ratios(self) -> NDArray[np.float32]:
         """Return the ratio of untracked rocks to those expected without observation.
 
         The result (sizes, rows, cols) is below 1 where the shadow of a rock would fall on lit
@@ -314,7 +314,7 @@ class ClearEvidence:
         )
         return np.asarray(np.interp(dark, table, share), np.float32)
 
-    def expected(self, footprint: float = 0.0) -> NDArray[np.float32]:
+    def expected_untracked(self, footprint: float = 0.0) -> NDArray[np.float32]:
         """Return the expected number of untracked rocks that reach into a disc.
 
         The result (rows, cols) is for a disc centred on each position. `footprint` is the radius of
@@ -358,7 +358,7 @@ class ClearEvidence:
             total += float(self._number[mine] @ found @ counts)
         return total * self.grid.posting**2
 
-    def observed(self) -> BoolArray:
+    def is_observed(self) -> BoolArray:
         """Return where a rock of the smallest size would have been detected (rows, cols).
 
         There the place of the shadow was seen lit so sharply that less than 25 % of such rocks
@@ -410,7 +410,7 @@ def _shadow_test_points(
         (0.0, -_CORE_WIDTH_FRACTION),
     )
     for share, (a, b) in product(_RADIUS_RATIOS, cross):
-        along, side = share * (middle + a * length), share * (unit.side + b * unit.width)
+        along, side = share * (middle + a * length), share * (unit.across + b * unit.width)
         points += [along * s[0] - side * s[1], along * s[1] + side * s[0]]
     return points
 

@@ -244,7 +244,7 @@ class ShadowMapper(HazardMapper):
         blind = self._blind_pixels(detections, image, sun, plane) if is_recorded else None
         self.tracker.update(detections, image.camera, sun, image.time, plane)
         self._forget_lost_rocks()
-        self.probability.follow(*self.tracker.moved())
+        self.probability.move_with_rocks(*self.tracker.moved())
         if not self.tracker.as_expected:
             return False
         self.probability.terrain_height = self._height_in_view(image.camera)
@@ -414,8 +414,8 @@ class ShadowMapper(HazardMapper):
             return self._with_flat_elevation(HazardMap.unobserved(self.grid))
         self._forget_lost_rocks()
         if not self.is_empty and self._time >= self._map_time + self.interval - 1e-9:
-            self.probability.follow(*self.tracker.moved())
-            self._residual = self.probability.residual(self.footprint)
+            self.probability.move_with_rocks(*self.tracker.moved())
+            self._residual = self.probability.untracked_rock_probability(self.footprint)
             hazard_map = self.probability.hazard_map(self.tracker, self.footprint, self._residual)
             self._map, self._map_time = self._with_plausibility(hazard_map), self._time
         return self._with_flat_elevation(self._map)
@@ -429,11 +429,11 @@ class ShadowMapper(HazardMapper):
         hazard_map = self.hazard_map()
         if self.is_empty or self.tracker.filter.image_monitor.monitors["shadows"].lost:
             return None
-        ratio = self.probability.ratios()
+        ratio = self.probability.untracked_rock_ratios()
         if hazard_map.in_domain is not None and not hazard_map.in_domain.any():
             ratio = np.maximum(ratio, np.float32(1.0))
         if self._residual is None:
-            self._residual = self.probability.residual(self.footprint)
+            self._residual = self.probability.untracked_rock_probability(self.footprint)
         return RockEvidence(
             hazard_map, self.probability.evidence.size_class_diameters, ratio,
             rock_tracks(self.tracker),

@@ -165,7 +165,7 @@ class ProbabilityMap:
             view, sun, detections, level, explained, position_sigma, plane, height_sigma, blur
         )
 
-    def residual(self, footprint: float) -> Array:
+    def untracked_rock_probability(self, footprint: float) -> Array:
         """Return the probability that an untracked rock is under the lander (rows, cols).
 
         Combines Eqs. 13-15 of the shadow EKF paper: each size has its expected number and its miss
@@ -173,13 +173,13 @@ class ProbabilityMap:
         `footprint` is its radius, m; 0: rocks whose outline contains the cell's centre.
         """
         unobserved = self.evidence.expected_unobserved(footprint)
-        expected = self._resample_to_map(self.evidence.expected(footprint), unobserved).astype(
-            np.float64
-        )
+        expected = self._resample_to_map(
+            self.evidence.expected_untracked(footprint), unobserved
+        ).astype(np.float64)
         # Rocks do not overlap, but several may reach into one footprint.
         return np.minimum(expected, 1.0) if footprint == 0.0 else -np.expm1(-expected)
 
-    def follow(self, xy: Array, motion: Array) -> None:
+    def move_with_rocks(self, xy: Array, motion: Array) -> None:
         """Move the recorded clear terrain with the tracked rocks.
 
         `xy` (n, 2) are the positions of the rocks and `motion` (n, 2) is their motion, m.
@@ -213,12 +213,12 @@ class ProbabilityMap:
     @property
     def observed(self) -> BoolArray:
         """Whether a rock of the smallest hazardous size would be visible (rows, cols)."""
-        return self._resample_to_map(self.evidence.observed(), 0.0)
+        return self._resample_to_map(self.evidence.is_observed(), 0.0)
 
     # --- Map ------------------------------------------------------------------------------
 
     def probability(
-        self, tracker: RockTracker, footprint: float = 0.0, residual: Array | None = None
+        self, tracker: RockTracker, footprint: float = 0.0, untracked: Array | None = None
     ) -> NDArray[np.float32]:
         """Return the probability that a rock is under the lander (rows, cols).
 
@@ -232,11 +232,13 @@ class ProbabilityMap:
         footprint
             Radius of the disc that must be free of rocks, m; 0: probability that the outline of a
             rock contains the cell's centre, as in the paper.
-        residual
-            Probability of an untracked rock, from `residual` for this footprint (rows, cols);
-            default: computed.
+        untracked
+            Probability of an untracked rock, from `untracked_rock_probability` for this footprint
+            (rows, cols); default: computed.
         """
-        clear = 1.0 - (self.residual(footprint) if residual is None else residual)
+        clear = 1.0 - (
+            self.untracked_rock_probability(footprint) if untracked is None else untracked
+        )
         self._multiply_clear_probability(clear, footprint, rock_tracks(tracker))
         return (1.0 - clear).astype(np.float32)
 
@@ -287,24 +289,29 @@ class ProbabilityMap:
             (rocks.existence * large)[at],
         )  # fmt: skip
 
-    def ratios(self) -> NDArray[np.float32]:
+    def untracked_rock_ratios(self) -> NDArray[np.float32]:
         """Return the ratio of untracked rocks to those expected without observation.
 
         The result (sizes, rows, cols) has the cells of the map, as explained for
-        `ClearEvidence.ratios`: it is below 1 where terrain was seen clear, 1 where it was not
-        observed, and 1 or more on dark terrain.
+        `ClearEvidence.untracked_rock_ratios`: it is below 1 where terrain was seen clear, 1 where
+        it was not observed, and 1 or more on dark terrain.
         """
-        return np.stack([self._resample_to_map(of_size, 1.0) for of_size in self.evidence.ratios()])
+        return np.stack(
+            [
+                self._resample_to_map(of_size, 1.0)
+                for of_size in self.evidence.untracked_rock_ratios()
+            ]
+        )
 
     def hazard_map(
-        self, tracker: RockTracker, footprint: float, residual: Array | None = None
+        self, tracker: RockTracker, footprint: float, untracked: Array | None = None
     ) -> HazardMap:
         """Compute the hazard map for a lander with a footprint radius (m).
 
-        `tracker` holds the tracked rocks. `residual` (rows, cols) is the probability of an
+        `tracker` holds the tracked rocks. `untracked` (rows, cols) is the probability of an
         untracked rock; default: computed.
         """
-        p = self.probability(tracker, footprint, residual)
+        p = self.probability(tracker, footprint, untracked)
         observed = footprint_observed(self.observed, footprint / self.grid.posting)
         return HazardMap(
             self.grid,

@@ -184,7 +184,7 @@ class RockTracker:
         view = _in_view(projection, camera)
         at = np.flatnonzero(view)
         in_view = len(at)
-        large = self.filter.count > s.large
+        large = self.filter.count > s.max_full_update_rocks
         self.filter.freeze(~view & large)
         # Resting rocks do not move until they are seen again.
         self._last_positions[~view & large] = np.nan
@@ -221,7 +221,8 @@ class RockTracker:
             self.renew()
             self.explained[:] = False
         points = self.filter.terrain_points(camera, detections.pixel, s.region)
-        begins = detections.radius >= (s.min_landmark_radius if in_view < s.few else s.min_radius)
+        least = s.min_landmark_radius if in_view < s.min_rocks_in_view else s.min_radius
+        begins = detections.radius >= least
         born = self._start_tracks(~close & begins, detections, points, camera, variance)
         on_terrain = terrain_position_covariance(
             points, detections.pixel_covariance, self.filter, camera
@@ -239,7 +240,7 @@ class RockTracker:
         hazard with a wrong radius.
         """
         s = self.settings
-        least = s.min_radius * (1.0 if in_view < s.few else _DROP_RADIUS_RATIO)
+        least = s.min_radius * (1.0 if in_view < s.min_rocks_in_view else _DROP_RADIUS_RATIO)
         return (self.existence[rock] > _ESTABLISHED_EXISTENCE) & (self.filter.radius[rock] >= least)
 
     def _too_small(self, in_view: int) -> BoolArray:
@@ -248,7 +249,7 @@ class RockTracker:
         `in_view` is the number of rocks in view; with few, smaller rocks are kept as landmarks.
         """
         s = self.settings
-        least = s.min_landmark_radius if in_view < 2 * s.few else s.min_radius
+        least = s.min_landmark_radius if in_view < 2 * s.min_rocks_in_view else s.min_radius
         return self.filter.radius < _DROP_RADIUS_RATIO * least
 
     def _associate(
@@ -393,7 +394,7 @@ class RockTracker:
         )
         model = model_on_plane(self.model, plane, sun)
         miss = self.rates.false_negative(
-            model.visible_pixels(self.filter.radius[lost], azimuth, depression, pixel)
+            model.visible_q(self.filter.radius[lost], azimuth, depression, pixel)
         )
         # A rock whose shadow merges with another is not missing.
         unit = model.patch(azimuth, depression)

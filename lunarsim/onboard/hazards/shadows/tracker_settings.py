@@ -19,9 +19,10 @@ class TrackerSettings:
     ----------
     min_radius
         Minimum radius of tracked rocks, m.
-    min_landmark_radius, few
-        While fewer than `few` tracked rocks are in view, rocks down to `min_landmark_radius` (m)
-        are added as landmarks; they are kept until twice as many are in view.
+    min_landmark_radius, min_rocks_in_view
+        While fewer than `min_rocks_in_view` tracked rocks are in view, rocks down to
+        `min_landmark_radius` (m) are added as landmarks; they are kept until twice as many are in
+        view.
     region
         West, east, south and north limits of the tracked area, m; None: unlimited.
     min_birth_q
@@ -51,7 +52,7 @@ class TrackerSettings:
         Minimum number of expected rocks in view for testing whether they are found.
     min_found_fraction
         Minimum fraction of the expected rocks that must be found.
-    large
+    max_full_update_rocks
         Number of rocks above which those out of view are not updated (`RockFilter.freeze`) and an
         image updates half of `max_position_updates`, to save time.
     max_rocks
@@ -63,7 +64,7 @@ class TrackerSettings:
 
     min_radius: float = 0.1
     min_landmark_radius: float = 0.1
-    few: int = 30
+    min_rocks_in_view: int = 30
     region: MapRegion | None = None
     min_birth_q: float = 2.4
     max_birth_sigma: float = 0.25
@@ -76,16 +77,16 @@ class TrackerSettings:
     max_normalised_innovation: float = 3.0
     min_expected_rocks: float = 8.0
     min_found_fraction: float = 0.55
-    large: int = 1200
+    max_full_update_rocks: int = 1200
     max_rocks: int = 2000
     max_position_updates: int = 60
 
     def __post_init__(self) -> None:
         check_types("tracker", self)
-        for name in ("min_radius", "min_landmark_radius", "few", "radius_wander",
+        for name in ("min_radius", "min_landmark_radius", "min_rocks_in_view", "radius_wander",
                      "relative_radius_sigma", "range_wander", "min_birth_q", "max_birth_sigma",
-                     "radius_floor", "max_normalised_innovation", "min_expected_rocks", "large",
-                     "max_rocks", "max_position_updates"):  # fmt: skip
+                     "radius_floor", "max_normalised_innovation", "min_expected_rocks",
+                     "max_full_update_rocks", "max_rocks", "max_position_updates"):  # fmt: skip
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise InputError(
                     f"tracker.{name}", getattr(self, name), "must be 0 or more, and finite"

@@ -115,7 +115,7 @@ def sharpness_and_area_of_cells(
     """
     focal = float(np.sqrt(camera.fx * camera.fy))
     azimuth, depression, pixel = viewing_geometry(points, camera_position, focal, sun, plane)
-    sharpness = model_on_plane(model, plane, sun).visible_pixels(1.0, azimuth, depression, pixel)
+    sharpness = model_on_plane(model, plane, sun).visible_q(1.0, azimuth, depression, pixel)
     # The solid angle of a pixel decreases with the cube of the cosine off the boresight.
     off = cell_centres(camera.width, camera.height) - [camera.cx, camera.cy]
     solid = (1.0 + ((off / [camera.fx, camera.fy]) ** 2).sum(1)) ** -1.5

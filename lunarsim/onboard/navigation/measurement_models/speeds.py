@@ -25,7 +25,7 @@ def speed_bias_model(velocimeter: VelocimeterInstrument) -> tuple[float, float]:
     Both are standard deviations, m/s: the specified values, but not less than realistic minima.
     """
     return (
-        max(velocimeter.speed_bias, _MIN_SPEED_BIAS_M_S),
+        max(velocimeter.speed_bias_sigma, _MIN_SPEED_BIAS_M_S),
         max(velocimeter.speed_bias_walk, _MIN_SPEED_WALK_M_S),
     )
 

@@ -38,7 +38,7 @@ def test_terrain_that_was_not_measured_or_measured_worse_than_any_that_was_tried
 @pytest.mark.parametrize("planes", [-1.5, -2.5, -6.0])
 def test_terrain_whose_planes_are_hardly_ever_level_is_no_likelier_than_they_allow(planes):
     judged = evidence(planes=planes, **LEVEL)
-    most = 4.0 * min(judged.planes.p_slope.max(), judged.planes.p_roughness.max())
+    most = 4.0 * min(judged.support_planes.p_slope.max(), judged.support_planes.p_roughness.max())
     assert level_map(judged, 0.9) == pytest.approx(min(most, 0.9), rel=1e-3)
 
 
@@ -59,16 +59,22 @@ def test_a_sensor_misses_none_only_where_all_about_a_site_was_looked_at():
     looked = np.ones(fine.shape, bool)
     # Between two cells of the sites.
     looked[8, 9] = False
-    told = eyes(1.0, of=fine, undetected_probability=np.full(fine.shape, 0.1, np.float32))
-    told = replace(told, hazard_map=replace(told.hazard_map, observed=looked))
+    evidence_of_rocks = eyes(
+        1.0, of=fine, undetected_probability=np.full(fine.shape, 0.1, np.float32)
+    )
+    evidence_of_rocks = replace(
+        evidence_of_rocks, hazard_map=replace(evidence_of_rocks.hazard_map, observed=looked)
+    )
     heights = RockHeights(1.0, np.empty(0), np.empty(0))
-    none = no_missed_rock_probability(told, tracks(), heights, GRID, LANDER.roughness_limit)
+    none = no_missed_rock_probability(
+        evidence_of_rocks, tracks(), heights, GRID, LANDER.roughness_limit
+    )
     assert none[4, 4] == none[4, 5] == 0.0
     assert np.count_nonzero(none == 0.0) <= 6
     assert none[4, 7] == pytest.approx(0.9)
     untold, doubted = (
-        replace(told, undetected_probability=None),
-        replace(told, expected_detections=40.0),
+        replace(evidence_of_rocks, undetected_probability=None),
+        replace(evidence_of_rocks, expected_detections=40.0),
     )
     nowhere = replace(doubted.hazard_map, in_domain=np.zeros(fine.shape, bool))
     for silent in (untold, replace(doubted, hazard_map=nowhere)):

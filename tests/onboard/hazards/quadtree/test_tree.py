@@ -46,14 +46,14 @@ def test_cells_and_their_means_are_those_of_the_plain_tree(
     quadtree = filled(seed, batches, split_count, spread=spread, tall=tall)
     points, tree = plain(quadtree)
     t = quadtree.tree
-    nodes = np.arange(quadtree.cells, dtype=np.int32)
-    own = {(int(t.depth[i]), int(t.column[i]), int(t.row[i])): i for i in nodes}
-    assert own.keys() == tree.keys()
+    nodes = np.arange(quadtree.cell_count, dtype=np.int32)
+    node_by_cell = {(int(t.depth[i]), int(t.column[i]), int(t.row[i])): i for i in nodes}
+    assert node_by_cell.keys() == tree.keys()
     elevation, variance = quadtree.elevation(nodes), quadtree.variance(nodes)
     z = points[:, 2]
     apart = reference.stand_apart(z, tree, t.half, quadtree.depths, 8)
     assert np.array_equal(quadtree.is_outlier, apart)
-    for key, i in own.items():
+    for key, i in node_by_cell.items():
         assert t.count[i] == len(tree[key])
         least = key[0] == quadtree.depths and len(tree[key]) >= 8
         assert (t.slot[i] >= 0) == (reference.divided(key, tree) or least)
@@ -111,7 +111,7 @@ def test_one_batch_or_many_give_the_same_cells():
     for part in np.array_split(rng.permutation(points), 17):
         many.insert(part)
     a, b = one.band(0.3, 5.0), many.band(0.3, 5.0)
-    assert one.cells == many.cells
+    assert one.cell_count == many.cell_count
     assert one.centres(a) == pytest.approx(many.centres(b))
     assert one.elevation(a) == pytest.approx(many.elevation(b), abs=1e-6, nan_ok=True)
 
@@ -158,7 +158,7 @@ def test_all_points_in_one_place_end_in_one_least_cell():
         quadtree.insert(np.tile([1.234, 2.345, 3.0], (5000, 1)))
     node = quadtree.cell_at((1.234, 2.345))
     assert quadtree.sizes(np.array([node]))[0] == pytest.approx(0.1)
-    assert quadtree.number(np.array([node]))[0] == 15_000
+    assert quadtree.point_counts(np.array([node]))[0] == 15_000
     assert quadtree.variance(np.array([node]))[0] == pytest.approx(0.0, abs=1e-6)
 
 

@@ -102,14 +102,14 @@ def test_the_sun_is_evaluated_along_the_measured_terrain(scene):
     plane = fit_terrain_plane(Slope(GRADIENT).drawn)
     seen = detect_rocks(counts, camera.model, state, sun, terrain=plane, model=MODEL)
     onto = plane.level_direction(sun)
-    told = measure_shadow_angle(
+    sun_angle = measure_shadow_angle(
         seen, plane.level_view(camera.model.view(state)),
         np.column_stack((seen.terrain_xy, np.zeros(len(seen)))), onto,
         MODEL.under(float(np.arcsin(onto[2]))),
         ImageQualityCheck().before_detection(counts, camera.model, state).metrics["noise"],
     )  # fmt: skip
     (event,) = [e for e in mapper.tracker.filter.events if e.name == "image-rejected"]
-    assert event.details["turn"] == pytest.approx(told.angle)
+    assert event.details["turn"] == pytest.approx(sun_angle.angle)
 
 
 @pytest.mark.parametrize("turned", [30.0, -30.0, 180.0])
@@ -157,8 +157,8 @@ def viewing_angles(scene):
 def test_a_rock_that_is_not_seen_is_missed_by_what_it_shows_on_a_slope(scene):
     _, model, (azimuth, depression, pixel) = viewing_angles(scene)
     rates = DetectionRates()
-    radius = 2.2 / model.visible_pixels(1.0, azimuth, depression, pixel)[0]
-    level = MODEL.visible_pixels(radius, azimuth, depression, pixel)
+    radius = 2.2 / model.visible_q(1.0, azimuth, depression, pixel)[0]
+    level = MODEL.visible_q(radius, azimuth, depression, pixel)
     expected = rates.false_negative(np.array([2.2]))[0]
     assert 0.6 < rates.false_negative(level)[0] < 1.0
     assert abs(rates.false_negative(level)[0] - expected) > 0.05
@@ -169,7 +169,7 @@ def test_a_rock_is_not_missing_whose_shadow_on_a_slope_falls_into_the_dark(scene
     view, model, (azimuth, depression, _) = viewing_angles(scene)
     unit = model.patch(azimuth, depression)
     towards = SUN[:2] / np.hypot(*SUN[:2])
-    off = 2.0 * (unit.along[0] * towards + unit.side[0] * np.array([-towards[1], towards[0]]))
+    off = 2.0 * (unit.along[0] * towards + unit.across[0] * np.array([-towards[1], towards[0]]))
     middle = np.array([*off, off @ np.array(PLANE.gradient)])
     u, v = np.rint(view.pinhole.project((middle - view.position)[None] @ view.axes)[0]).astype(int)
     labels = np.zeros((view.height, view.width), np.int32)
@@ -186,10 +186,10 @@ def test_a_mapper_is_built_after_the_one_whose_terrain_it_asks_for(scene):
         inertial, StartSigmas(1e-3, 1e-3, 1e-5), terrain_prior=ground, rocks=True
     )
     relief = Slope(GRADIENT)
-    told = {}
+    received = {}
 
     def fused(briefing, navigation, mappers):
-        told.update(mappers)
+        received.update(mappers)
         return Slope((0.0, 0.0))
 
     parts = {
@@ -203,7 +203,7 @@ def test_a_mapper_is_built_after_the_one_whose_terrain_it_asks_for(scene):
     )  # fmt: skip
     built = build_mappers(briefing, navigation)
     assert list(built) == list(parts)
-    assert set(told) == {"eye", "dem"}
+    assert set(received) == {"eye", "dem"}
     tracked = built["eye"].tracker.settings
     assert tracked.min_landmark_radius < 0.5 * tracked.min_radius
     assert not relief.asked

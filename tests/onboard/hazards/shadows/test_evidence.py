@@ -39,7 +39,7 @@ def test_unseen_rocks_are_integrated_over_the_disc():
     least = DetectionRates().false_clear_line[2]
     for footprint in (0.0, 1.5):
         whole = float(NUMBER @ (np.pi * (footprint + 0.5 * DIAMETERS) ** 2))
-        expected = evidence.expected(footprint)
+        expected = evidence.expected_untracked(footprint)
         assert expected[60, 10] == pytest.approx(least * whole, rel=1e-3)
         assert expected[60, -10] == pytest.approx(whole, rel=1e-3)
         # On the line between them half of the disc was seen.
@@ -54,10 +54,10 @@ def test_rocks_that_must_be_somewhere_are_where_they_may_be():
     )
     evidence.lit[:] = 1e3
     evidence.dark[:, 40:50, 70:90] = 1e3
-    per_metre = evidence.expected() / np.sum(NUMBER * np.pi * (0.5 * DIAMETERS) ** 2)
+    per_metre = evidence.expected_untracked() / np.sum(NUMBER * np.pi * (0.5 * DIAMETERS) ** 2)
     assert per_metre.sum() == pytest.approx(GRID.rows * GRID.cols, rel=0.02)
-    assert evidence.observed()[10, 10]
-    assert not evidence.observed()[45, 80]
+    assert evidence.is_observed()[10, 10]
+    assert not evidence.is_observed()[45, 80]
 
 
 def test_rocks_are_as_crowded_as_terrain_that_was_looked_at_leaves_room_for():
@@ -67,7 +67,7 @@ def test_rocks_are_as_crowded_as_terrain_that_was_looked_at_leaves_room_for():
     )
     evidence.lit[:, :60] = 1e3
     evidence.dark[:, 60:90] = 1e3
-    per_metre = evidence.expected() / np.sum(NUMBER * np.pi * (0.5 * DIAMETERS) ** 2)
+    per_metre = evidence.expected_untracked() / np.sum(NUMBER * np.pi * (0.5 * DIAMETERS) ** 2)
     assert per_metre[70, 60] == pytest.approx(3.0, rel=0.01)
 
 
@@ -77,8 +77,8 @@ def test_sizes_of_which_none_are_expected_stand_nowhere():
     )
     evidence.lit[:] = 1e3
     evidence.dark[:, 60:90] = 2e3
-    assert np.isfinite(evidence.ratios()).all()
-    assert np.isfinite(evidence.expected()).all()
+    assert np.isfinite(evidence.untracked_rock_ratios()).all()
+    assert np.isfinite(evidence.expected_untracked()).all()
 
 
 def test_one_observation_stands_for_sizes_within_a_factor_and_the_last_for_all_larger():
@@ -93,8 +93,8 @@ def test_the_shadow_of_a_tracked_rock_hides_others_no_more_than_other_terrain():
     evidence.dark[:, 40:60, 40:60] = 1e3
     evidence.explained[:, 40:60, 40:60] = True
     prior = float(NUMBER @ (np.pi * (0.5 * DIAMETERS) ** 2))
-    assert evidence.expected()[50, 50] == pytest.approx(prior, rel=1e-3)
-    assert not evidence.observed()[50, 50]
+    assert evidence.expected_untracked()[50, 50] == pytest.approx(prior, rel=1e-3)
+    assert not evidence.is_observed()[50, 50]
 
 
 @pytest.mark.parametrize("size", [0.3, 0.7])
@@ -112,12 +112,12 @@ def test_a_rock_that_no_detection_reports_is_not_cleared(size):
         [np.hypot(*np.moveaxis(GRID.centres() - c, -1, 0)) for c in ((-6.0, 2.0), (5.0, -3.0))], 0
     )
     prior = float(NUMBER @ (np.pi * (0.5 * DIAMETERS) ** 2))
-    expected = evidence.expected()
+    expected = evidence.expected_untracked()
     assert expected[away < 0.7 * size].min() > prior
     # Beyond the edge nothing was seen, and rocks reach in from there.
     far = (away > 6.0 * size)[8:-8, 8:-8]
     assert expected[8:-8, 8:-8][far].max() < 0.2 * prior
-    assert evidence.observed()[away > 6.0 * size].all()
+    assert evidence.is_observed()[away > 6.0 * size].all()
 
 
 @pytest.mark.parametrize(("blur", "wider"), [(0.3, 1.0), (0.6, 1.0), (0.9, 1.42), (1.8, 2.74)])
@@ -140,7 +140,7 @@ def test_a_shadow_that_is_too_small_for_a_hazard_leaves_the_terrain_clear():
     view, seen = viewing_angles(terrain, (0.0, 0.0, 35.0))
     mapping.evidence.add_image(view, SUN, seen, level())
     row, col = mapping.evidence.grid.cell(np.array([[-6.0, 2.0], [5.0, -3.0]]))
-    expected = mapping.evidence.expected()
+    expected = mapping.evidence.expected_untracked()
     assert expected[row[0], col[0]] < 0.0025
     assert expected[row[1], col[1]] > 0.0025
 
@@ -154,7 +154,7 @@ def test_shadows_are_cast_onto_the_terrain_as_it_is_known():
     for height in (0.0, -8.0):
         evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
         evidence.add_image(view, SUN, seen, level(height))
-        middle[height] = bool(evidence.observed()[58:62, 58:62].any())
+        middle[height] = bool(evidence.is_observed()[58:62, 58:62].any())
     assert middle == {0.0: False, -8.0: True}
 
 
@@ -163,13 +163,13 @@ def test_an_image_without_any_shadow_says_nothing():
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     view, seen = viewing_angles(empty, (0.0, 0.0, 40.0))
     evidence.add_image(view, SUN, seen, level())
-    assert not evidence.observed().any()
+    assert not evidence.is_observed().any()
     # One shadow shows that the picture can show shadows.
     view, seen = viewing_angles(rocks_on_a_plane("hemisphere", count=3), (0.0, 0.0, 40.0))
     evidence.add_image(view, SUN, seen, level())
-    assert evidence.observed().mean() > 0.8
+    assert evidence.is_observed().mean() > 0.8
     evidence.forget()
-    assert not evidence.observed().any()
+    assert not evidence.is_observed().any()
 
 
 def test_what_is_seen_where_places_are_not_known_belongs_elsewhere():
@@ -181,19 +181,19 @@ def test_what_is_seen_where_places_are_not_known_belongs_elsewhere():
         view, SUN, seen, level(),
         position_sigma=lambda xy: np.where(xy[:, 0] < -1.0, 0.9 * least, 1.1 * least),
     )  # fmt: skip
-    assert evidence.observed()[:, :50].mean() > 0.8
-    assert not evidence.observed()[:, 80:].any()
+    assert evidence.is_observed()[:, :50].mean() > 0.8
+    assert not evidence.is_observed()[:, 80:].any()
     assert not (evidence.lit[:, :, 80:].any() or evidence.dark[:, :, 80:].any())
 
 
 def test_ratios_are_what_observations_say_of_rocks_that_are_expected():
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
-    assert (evidence.ratios() == 1.0).all()
+    assert (evidence.untracked_rock_ratios() == 1.0).all()
     evidence.lit[:, 10:100, 10:100] = 1e3
     evidence.dark[:, 40:50, 40:50] = 2e3
     evidence.dark[:, 60:70, 60:70] = 2e3
     evidence.explained[:, 60:70, 60:70] = True
-    ratio = evidence.ratios()
+    ratio = evidence.untracked_rock_ratios()
     assert ratio.shape == (len(evidence.size_class_diameters), *GRID.shape)
     assert (np.diff(evidence.size_class_diameters) > 0.0).all()
     assert ratio[:, 20, 20] == pytest.approx(DetectionRates().false_clear_line[2])
@@ -219,26 +219,26 @@ def test_a_lit_observation_takes_back_a_dark_one_if_it_is_much_sharper_or_plain(
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     evidence.lit[:] = pixels / (0.5 * DIAMETERS[0])
     evidence.dark[:, 40:50, 40:50] = evidence.lit[0, 0, 0] / by
-    assert evidence.observed()[45, 45] == taken_back
-    ratio = evidence.ratios()[:, 45, 45]
+    assert evidence.is_observed()[45, 45] == taken_back
+    ratio = evidence.untracked_rock_ratios()[:, 45, 45]
     assert (ratio[0] < 1.0) == taken_back
     assert (ratio[-1] < 1.0) == (by > 1.15)
-    assert evidence.observed()[20, 20]
+    assert evidence.is_observed()[20, 20]
 
 
 def test_nothing_is_seen_where_rocks_may_show_nothing_dark():
     faceted = ShadowModel(np.radians(60.0), RockModel("irregular"))
     evidence = ClearEvidence(GRID, faceted, DIAMETERS, NUMBER, DetectionRates())
     evidence.lit[:] = 1e3
-    assert not evidence.observed().any()
+    assert not evidence.is_observed().any()
     # Those that show nothing are missed by the sharpest look.
     whole = float(NUMBER @ (np.pi * (0.5 * DIAMETERS) ** 2))
-    assert evidence.expected()[60, 60] == pytest.approx(
+    assert evidence.expected_untracked()[60, 60] == pytest.approx(
         faceted.shadowless_fraction * whole, rel=1e-3
     )
     low = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     low.lit[:] = 1e3
-    assert low.observed().all()
+    assert low.is_observed().all()
 
 
 class Uneven(ShadowModel):

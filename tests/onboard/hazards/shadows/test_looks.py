@@ -204,8 +204,8 @@ def test_centres_wander_together_along_the_sun_as_the_lander_draws_near():
               {"range_wander": -0.1}, {"range_wander": np.nan}, {"min_birth_q": np.nan},
               {"max_birth_sigma": -1.0}, {"radius_floor": np.nan},
               {"max_normalised_innovation": np.nan},
-              {"min_expected_rocks": np.nan}, {"min_found_fraction": 1.5}, {"large": -1},
-              {"max_rocks": -1},
+              {"min_expected_rocks": np.nan}, {"min_found_fraction": 1.5},
+              {"max_full_update_rocks": -1}, {"max_rocks": -1},
               {"max_position_updates": -1}, {"region": (1.0, -1.0, 0.0, 2.0)},
               {"region": (0.0, 1.0, 0.0, np.nan)}, {"region": (0.0, 1.0)}, {"region": 3.0}],
 )  # fmt: skip

@@ -69,7 +69,7 @@ def test_the_map_shows_what_was_seen_where_it_lies_now():
     before, seen = mapping.probability(tracker_at((0.0, 0.0, 50.0))), mapping.observed
     assert seen.mean() == pytest.approx(0.5, abs=0.05)
     rocks = rocks_over(20.0, 50, rng)
-    mapping.follow(rocks, np.full((50, 2), [1.0, -0.5]))
+    mapping.move_with_rocks(rocks, np.full((50, 2), [1.0, -0.5]))
     shifted = mapping.observed
     assert (shifted[:-2, 4:] == seen[2:, :-4]).all()
     # Of what slides in from beyond the map nothing was noted.
@@ -78,7 +78,7 @@ def test_the_map_shows_what_was_seen_where_it_lies_now():
     after = mapping.probability(tracker_at((0.0, 0.0, 50.0)))
     assert after[:-2, 4:] == pytest.approx(before[2:, :-4])
     assert after[-1, 0] == pytest.approx(mapping.evidence.expected_unobserved(), rel=1e-4)
-    mapping.follow(rocks, np.full((50, 2), [4.0, 0.0]))
+    mapping.move_with_rocks(rocks, np.full((50, 2), [4.0, 0.0]))
     off_the_blocks = mapping.probability(tracker_at((0.0, 0.0, 50.0)))[0, 0]
     assert off_the_blocks == pytest.approx(mapping.evidence.expected_unobserved(), rel=1e-4)
     mapping.evidence.forget()

@@ -51,7 +51,7 @@ def look(scene, times, sun=SUN, counts=None):
 def test_where_no_rock_is_tracked_images_show_no_clear_terrain(scene):
     """From picture to picture the lander errs by more than a rock: lit ground is anywhere."""
     camera, honest = scene
-    tracker = tracker_at(PLACE, max_birth_sigma=1e-6, min_radius=5.0, few=0)
+    tracker = tracker_at(PLACE, max_birth_sigma=1e-6, min_radius=5.0, min_rocks_in_view=0)
     mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL, HazardPrior(0.05, 0.5))
     mapper = ShadowMapper(tracker, mapping, SUN, 1.0)
     for k in range(5):
@@ -228,9 +228,9 @@ def test_a_map_on_which_no_rock_is_found_says_so(scene):
     mapper.tracker.existence[:] = 1e-3
     drawn = mapper.hazard_map()
     assert drawn.observed.any() and not drawn.in_domain.any()
-    told = mapper.tracker.filter.events[-1]
-    assert told.name == "too-few-rocks"
-    assert told.details["rocks"] == 0 and told.details["expected"] > 10.0
+    event = mapper.tracker.filter.events[-1]
+    assert event.name == "too-few-rocks"
+    assert event.details["rocks"] == 0 and event.details["expected"] > 10.0
 
 
 def test_a_map_that_calls_all_safe_says_so_and_what_follows_too(scene, monkeypatch):
@@ -298,13 +298,13 @@ def test_what_was_seen_moves_with_the_lander_as_an_image_corrects_it(scene, monk
 
 def test_rocks_started_again_do_not_report_any_motion(scene, monkeypatch):
     """They stand elsewhere since another picture tells where, not since the ground moved."""
-    mapper, told = look(scene, [0.0]), []
+    mapper, motions = look(scene, [0.0]), []
     moved = mapper.tracker.moved
-    monkeypatch.setattr(mapper.tracker, "moved", lambda: told.append(moved()) or told[-1])
+    monkeypatch.setattr(mapper.tracker, "moved", lambda: motions.append(moved()) or motions[-1])
     see(mapper, scene[0], scene[1][1], 0.1)
     twice = mapper.tracker.hits == 2
     assert np.count_nonzero(twice) > 10
-    assert np.isnan(told[0][1][twice]).mean() > 0.8
+    assert np.isnan(motions[0][1][twice]).mean() > 0.8
 
 
 def test_a_plane_in_its_own_shadow_shows_nothing():
@@ -320,10 +320,10 @@ def test_a_plane_in_its_own_shadow_shows_nothing():
     assert not mapper.hazard_map().observed.any()
 
 
-def told(mapper):
+def checked_undetected_probability(mapper):
     """Return `unseen` of what is published, which is what would be worked out anew."""
     unseen = mapper.evidence().undetected_probability
-    anew = mapper.probability.residual(mapper.footprint).astype(np.float32)
+    anew = mapper.probability.untracked_rock_probability(mapper.footprint).astype(np.float32)
     np.testing.assert_array_equal(unseen, anew)
     np.testing.assert_array_equal(unseen, mapper.evidence().undetected_probability)
     return unseen.copy()
@@ -332,7 +332,7 @@ def told(mapper):
 def test_rocks_that_are_not_tracked_are_reported_as_they_would_be_again(scene):
     camera, honest = scene
     mapper = look(scene, [0.0])
-    first = told(mapper)
+    first = checked_undetected_probability(mapper)
     assert first.min() < 0.5 * first.max()
     # Rocks that are tracked are none of them.
     assert mapper.tracker.filter.count > 10
@@ -342,48 +342,50 @@ def test_rocks_that_are_not_tracked_are_reported_as_they_would_be_again(scene):
         _, eye, counts = picture(terrain, (0.0, 0.0, height))
         mapper.tracker.filter.inertial.position[:] = [0.0, 0.0, height]
         see(mapper, eye.model, counts, time)
-        assert not np.array_equal(told(mapper), first)
-        first = told(mapper)
+        assert not np.array_equal(checked_undetected_probability(mapper), first)
+        first = checked_undetected_probability(mapper)
     # The map is due; rocks were moved since the picture, and what was seen goes with them.
     mapper.tracker.filter.inertial.position[:] = [0.0, 0.0, 50.0]
     see(mapper, camera, honest[3], 1.5)
     mapper.tracker.filter.xyz[:, :2] += [3.0, -2.0]
-    told(mapper)
+    checked_undetected_probability(mapper)
     mapper.recentre(np.array([15.0, 0.0, 0.0]))
-    assert not np.array_equal(told(mapper), first)
+    assert not np.array_equal(checked_undetected_probability(mapper), first)
     # Rocks were let go, and with them what was seen; the map is not due yet.
     mapper.tracker.renew()
-    assert np.ptp(told(mapper)) == 0.0
+    assert np.ptp(checked_undetected_probability(mapper)) == 0.0
 
 
 def test_rocks_give_the_uncertainty_of_the_height_unless_it_was_measured(scene, monkeypatch):
     camera, honest = scene
-    asked = []
+    calls = []
 
     def nothing_is_known(rocks, xy):
-        asked.append(rocks)
+        calls.append(rocks)
         return np.full(len(xy), np.inf)
 
     monkeypatch.setattr("lunarsim.onboard.hazards.shadows.mapper.height_sigma", nothing_is_known)
     alone = look(scene, [0.0])
-    assert asked == [alone.tracker.filter]
+    assert calls == [alone.tracker.filter]
     assert not alone.probability.evidence.lit.any()
     mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL, HazardPrior(0.05, 0.5))
-    told = ShadowMapper(tracker_at(PLACE), mapping, SUN, 1.0, terrain_mapper=Slope((0.0, 0.0)))
-    see(told, camera, honest[0], 0.0)
-    assert told.probability.evidence.lit.any()
+    informed = ShadowMapper(tracker_at(PLACE), mapping, SUN, 1.0, terrain_mapper=Slope((0.0, 0.0)))
+    see(informed, camera, honest[0], 0.0)
+    assert informed.probability.evidence.lit.any()
 
 
 def test_places_need_not_be_known_better_than_the_least_rock_is_large(scene, monkeypatch):
-    asked = []
+    radii = []
 
-    def told(rocks, xy, enough):
-        asked.append(enough)
+    def recorded_position_sigma(rocks, xy, enough):
+        radii.append(enough)
         return np.full(len(xy), 0.01)
 
-    monkeypatch.setattr("lunarsim.onboard.hazards.shadows.mapper.position_sigma", told)
+    monkeypatch.setattr(
+        "lunarsim.onboard.hazards.shadows.mapper.position_sigma", recorded_position_sigma
+    )
     mapper = look(scene, [0.0])
-    assert asked == [mapper.tracker.settings.min_radius]
+    assert radii == [mapper.tracker.settings.min_radius]
     assert mapper.probability.observed.any()
 
 
@@ -394,11 +396,13 @@ def test_cells_of_an_image_are_as_large_on_the_terrain_as_their_corners_say(monk
     state, camera, counts = picture(terrain, place)
     found = []
 
-    def told(counts, seen, sharpness, area, cover):
+    def recorded_blind_regions(counts, seen, sharpness, area, cover):
         found.extend((sharpness, area, cover))
         return np.zeros(counts.shape, bool)
 
-    monkeypatch.setattr("lunarsim.onboard.hazards.shadows.mapper.blind_regions", told)
+    monkeypatch.setattr(
+        "lunarsim.onboard.hazards.shadows.mapper.blind_regions", recorded_blind_regions
+    )
     mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL, HazardPrior(0.07, 0.5))
     mapper = ShadowMapper(tracker_at(place), mapping, SUN, 1.0)
     see(mapper, camera.model, counts, 0.0)

@@ -41,7 +41,7 @@ def test_map_begins_with_the_prior_and_falls_by_eq_14():
     seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
     view = camera.view(state)
     sharp.add_image(view, SUN, seen)
-    q = float(MODEL.visible_pixels(1.0, 0.0, np.pi / 2, 150.0 / camera.fx))
+    q = float(MODEL.visible_q(1.0, 0.0, np.pi / 2, 150.0 / camera.fx))
     resolved = 2.0 * 2.0 / q
     expected = golombek_cover(0.4, 0.07) - golombek_cover(max(resolved, 0.4), 0.07)
     middle = sharp.probability(tracker)[80, 80]
@@ -107,14 +107,14 @@ def test_a_tracked_rock_is_a_hazard_if_its_longer_axis_is_long_enough(shape):
             np.zeros((1, 2)), np.full(1, 0.01), np.full(1, radius), np.full(1, sigma**2),
             np.full(1, 0.9),
         )  # fmt: skip
-        told = 1.0 - mapping.clear_of(rock, 2.0)[80, 80]
+        estimated = 1.0 - mapping.clear_of(rock, 2.0)[80, 80]
         variance = sigma**2 + (model.radius_sigma * radius) ** 2
         steep = 2.0 * golombek_exponent(0.05) + 2.0 / radius
         disc = rng.normal(radius - variance * steep, np.sqrt(variance), 200_000)
         shapes = rng.choice(len(model.models), 200_000, p=model.shape_fractions)
         long = np.array([m.shapes.shape not in ("cube", "hemisphere") for m in model.models])
         stretch = np.where(long[shapes], rng.uniform(0.6, 1.0, 200_000) ** -0.5, 1.0)
-        assert told == pytest.approx(0.9 * np.mean(disc * stretch >= 0.25), abs=0.01), radius
+        assert estimated == pytest.approx(0.9 * np.mean(disc * stretch >= 0.25), abs=0.01), radius
 
 
 def test_dark_terrain_is_not_seen():

@@ -47,8 +47,8 @@ def test_a_cluster_seen_as_one_is_split_when_it_is_resolved():
     assert np.sort(tracker.filter.xy[:, 0]) == pytest.approx([-1.1, 1.1], abs=0.25)
     # One look is one look: it began them, and tells no more of them.
     assert tracker.hits.tolist() == [1, 1]
-    own = 1.0 - tracker.rates.false_positive(seen.q)
-    assert np.sort(tracker.existence) == pytest.approx(np.sort(np.clip(own, 0.1, 0.99)))
+    probability = 1.0 - tracker.rates.false_positive(seen.q)
+    assert np.sort(tracker.existence) == pytest.approx(np.sort(np.clip(probability, 0.1, 0.99)))
     assert tracker.update(seen, camera, SUN, 0.1).dof == 0, "the second begins them anew"
     assert tracker.update(seen, camera, SUN, 0.2).dof == 4
 
@@ -101,7 +101,7 @@ def test_rocks_out_of_view_rest_in_large_maps():
     high, low = (1.0, 0.0, 70.0), (1.0, 0.0, 20.0)  # the camera looks at the middle
     moved = {}
     for above in (0, 1000):
-        tracker = follow(terrain, [high] * 6, tracker_at(high, large=above))
+        tracker = follow(terrain, [high] * 6, tracker_at(high, max_full_update_rocks=above))
         before = tracker.filter.xy.copy()
         follow(terrain, [low] * 2, tracker, begins=1.0)
         away = np.array([(np.abs(tracker.filter.xy - xy).max(1) > 0.0).all() for xy in before])
@@ -118,8 +118,8 @@ def test_radii_of_all_rocks_seen_are_corrected():
     )
     assert few.filter.count == all_of_them.filter.count > 20
     assert few.filter.radius_variance == pytest.approx(all_of_them.filter.radius_variance, rel=0.05)
-    own = [np.trace(t.filter.rock_covariance(), axis1=1, axis2=2) for t in (few, all_of_them)]
-    assert np.median(own[0]) > 2.0 * np.median(own[1])
+    variances = [np.trace(t.filter.rock_covariance(), axis1=1, axis2=2) for t in (few, all_of_them)]
+    assert np.median(variances[0]) > 2.0 * np.median(variances[1])
 
 
 def test_images_do_not_run_backwards():
@@ -192,7 +192,7 @@ def few_and_many(least, few):
     terrain = rocks_on_a_plane("hemisphere", seed=11, count=60, size=60.0)
     state, camera, counts = picture(terrain, place)
     seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
-    tracker = tracker_at(place, min_radius=least, min_landmark_radius=0.3, few=few)
+    tracker = tracker_at(place, min_radius=least, min_landmark_radius=0.3, min_rocks_in_view=few)
     tracker.update(seen, camera, SUN, 0.0)
     begun = tracker.filter.radius.copy()
     for k in range(3):
@@ -212,7 +212,7 @@ def test_small_rocks_are_landmarks_where_few_are_in_view():
     # What a landmark's shadow hides is not explained by it.
     assert tracker.explained.any()
     assert seen.radius[tracker.explained].min() > 0.6
-    tracker.settings = dataclasses.replace(tracker.settings, few=10)
+    tracker.settings = dataclasses.replace(tracker.settings, min_rocks_in_view=10)
     state, camera = at((0.0, 0.0, 50.0))
     tracker.update(seen, camera, SUN, 0.5)
     assert tracker.filter.radius.min() >= 0.85 * 0.8

@@ -52,7 +52,7 @@ def found(world, place, degrees):
     off = np.linalg.norm(seen.terrain_xy[:, None] - places_of(world.terrain), axis=2)
     pixel = np.linalg.norm(place) / eye.fx
     away = np.arctan2(place[0], place[1]) - 1.2
-    q = CUBES.visible_pixels(0.5, away, np.radians(40.0), pixel)
+    q = CUBES.visible_q(0.5, away, np.radians(40.0), pixel)
     return float((off.min(0, initial=np.inf) < 1.0).mean()), float(q)
 
 
@@ -104,8 +104,8 @@ def test_each_camera_is_compared_with_its_own_last_images(frames):
         for n in range(2):
             look(mapper, "narrow", eye, pictures[(2 * k + n) % 4 + 1], 0.2 * k + 0.05 * (n + 1))
     assert mapper.rejected_images[ImageRejection.STUCK] == 4
-    told = [e for e in mapper.tracker.filter.events if e.name == "image-rejected"]
-    assert [e.details["camera"] for e in told] == ["wide"]
+    rejections = [e for e in mapper.tracker.filter.events if e.name == "image-rejected"]
+    assert [e.details["camera"] for e in rejections] == ["wide"]
     # Each by itself is told of once, not at every change from one to the other.
     assert mapper.rejected_images.total() == 4
 

@@ -53,7 +53,7 @@ def test_a_zone_that_ends_a_micrometre_within_a_cell_takes_all_of_it_in(axis, si
     end = cell[axis] + sign * (0.125 - 1e-6)
     box = np.array([[-0.9, 0.9], [-0.9, 0.9]])
     box[axis, int(sign > 0.0)] = end
-    assert quadtree.number(np.array([node]))[0] == 9
+    assert quadtree.point_counts(np.array([node]))[0] == 9
     assert abs(xy[-1, axis]) > abs(end)
     stack, sums = np.empty(64, np.int32), np.empty(12)
     k.zone_sums(quadtree.tree, *box.ravel(), 0.0, 0.0, stack, sums)

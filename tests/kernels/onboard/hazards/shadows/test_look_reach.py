@@ -118,15 +118,15 @@ def test_a_rock_on_terrain_taken_for_lower_or_higher_is_not_cleared(lower, gradi
             height_sigma=lambda xy: np.full(len(xy), sigma),
         )  # fmt: skip
         # Away from it the ground is clear, however high it is.
-        assert evidence.observed()[20:40, 20:40].all()
+        assert evidence.is_observed()[20:40, 20:40].all()
         return evidence
 
     assert look(0.0, 0.0).dark[0, row, col] > 0.0
     cleared = {}
     for sigma in (0.0, 0.5, 2.0):
-        cleared[sigma] = bool(look(-lower, sigma).observed()[row, col])
+        cleared[sigma] = bool(look(-lower, sigma).is_observed()[row, col])
         # Of a rock that is tracked the shadow is its own.
-        assert look(-lower, sigma, np.ones(len(seen), bool)).observed()[row, col]
+        assert look(-lower, sigma, np.ones(len(seen), bool)).is_observed()[row, col]
     assert cleared == {0.0: True, 0.5: True, 2.0: False}
 
 
@@ -137,7 +137,7 @@ def test_terrain_of_which_next_to_nothing_is_known_is_not_seen():
         view, SUN, seen, lambda xy: 0.0 * xy[:, 0],
         height_sigma=lambda xy: np.where(xy[:, 1] > 2.0, np.inf, 0.0),
     )  # fmt: skip
-    assert evidence.observed()[10:40, 10:110].mean() > 0.9
+    assert evidence.is_observed()[10:40, 10:110].mean() > 0.9
     assert not evidence.lit[0, 90:].any()
 
 
