@@ -67,7 +67,7 @@ def campaign() -> None:
 @ALLOW_MODULE
 @click.option(
     "--out", type=PATH, default=None, show_default="standard output",
-    help="File to write: CSV (.csv) or Parquet (.parquet).",
+    help="File for the planned flights, one row each: CSV (.csv) or Parquet (.parquet).",
 )  # fmt: skip
 def plan(spec: Path, out: Path | None) -> None:
     """Write the inputs of every flight of SPEC without flying.
@@ -288,7 +288,10 @@ def _format_duration(seconds: float) -> str:
 @campaign.command()
 @_FOLDER
 @click.option(
-    "--out", type=PATH, required=True, help="File to write: CSV (.csv) or Parquet (.parquet)."
+    "--out",
+    type=PATH,
+    required=True,
+    help="File for the results, one row per flight and arm: CSV (.csv) or Parquet (.parquet).",
 )
 @click.option("--timing", is_flag=True, help="Add columns with the computing time of each flight.")
 def export(folder: Path, out: Path, timing: bool) -> None:

@@ -148,7 +148,7 @@ def matching_manifest(folder: Path, plan: Plan) -> dict[str, Any] | None:
         raise InputError(
             "--out", str(folder),
             f"contains another campaign: its {key} is {_shown(old)}, that of this campaign is "
-            f"{_shown(new)}", "Use a new folder, or the campaign file that was flown into it.",
+            f"{_shown(new)}", "Use a new folder, or the campaign file that belongs to it.",
             show_value=False,
         )  # fmt: skip
     return manifest
@@ -242,7 +242,7 @@ def _damaged(folder: Path, reason: str) -> InputError:
 
 def _shown(value: Any) -> str:
     """Return the text of a manifest value, shortened if it is long."""
-    return "missing" if value is None else reprlib.repr(value)
+    return "not set" if value is None else reprlib.repr(value)
 
 
 def first_difference(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None:

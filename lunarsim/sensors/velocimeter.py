@@ -45,8 +45,8 @@ class DopplerVelocimeter:
         "m/s",
         ge=0,
         lt=10,
-        help="bias of each beam's speed at the start, 1 sigma; the navigation filter knows this "
-        "sigma",
+        help="bias of the speeds measured by each beam at the start of the flight, 1 sigma; the "
+        "navigation filter knows this sigma",
     )
     speed_random_walk: float = quantity(
         0.005,

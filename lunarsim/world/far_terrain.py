@@ -64,8 +64,8 @@ class FarTerrainSettings:
         0.3,
         gt=0,
         le=1,
-        help="width of the strips along the edges of the map and of the squares in which heights "
-        "blend, divided by half the side of the map or square",
+        help="width of the strip inside each edge of the map, and of each finer square, in which "
+        "heights change to those of the coarser terrain; as a fraction of half its side",
     )
     path: Path | None = quantity(
         None,

@@ -198,9 +198,9 @@ class RigidDescent:
             and low <= self.min_thrust_command < self.max_thrust_command <= high
         ):
             raise InputError(
-                "optimal.thrust_max", given,
-                "must be a range (thrust_min, thrust_max) within the lander's throttle range, "
-                f"{low} to {high} N",
+                "optimal.thrust_min, optimal.thrust_max", given,
+                f"must be two rising numbers within the throttle range of the lander, {low} to "
+                f"{high} N",
             )  # fmt: skip
         if not (is_number(self.gravity) and self.gravity > 0.0):
             raise InputError("optimal.gravity", self.gravity, "must be a positive, finite number")

@@ -117,8 +117,11 @@ def _not_a_raster(path: Path, error: Exception) -> InputError:
             "terrain.path", str(path), problem, f"GDAL reports: {_first_line(error)}."
         )
     elif b"PDS_VERSION_ID" in start or b"Product_Observational" in start:
-        problem = f"is a label, but GDAL cannot read its raster ({_first_line(error)})"
-        return InputError("terrain.path", str(path), problem)
+        problem = "is a PDS label that GDAL cannot read, alone or with its raster: "
+        problem += _first_line(error)
+        return InputError(
+            "terrain.path", str(path), problem, "Correct the label, or download both files again."
+        )
     else:
         problem = f"must be a raster of {formats}"
     remedy = "Convert the file: `gdal_translate -of GTiff FILE out.tif`."
@@ -175,8 +178,9 @@ def _check_files(path: Path, source: DatasetReader) -> None:
         name = source.files[parts.index(outside[0][0])]
         raise InputError(
             "terrain.path", str(path),
-            f"must refer only to files in its own folder, but refers to {name}",
-            "Put all parts of a raster into one folder.",
+            f"must not refer or link to a file outside its folder: {name} is at "
+            f"{outside[0][0]}", "Put all parts of a raster into one folder, without links.",
+            show_value=False,
         )  # fmt: skip
 
 

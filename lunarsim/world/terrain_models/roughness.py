@@ -69,8 +69,8 @@ class ReliefRoughness:
         None,
         ge=0,
         le=0.3,
-        help="number per m^2 of craters that are at least 1 m wide, for a crater population in "
-        "equilibrium; 0: no craters; omitted: value of the preset",
+        help="number per m^2 of craters with a diameter of at least 1 m, as long as this is below "
+        "crater_equilibrium_diameter_m; 0: no craters; omitted: value of `preset`",
     )
     crater_equilibrium_diameter: float = quantity(
         200.0,
