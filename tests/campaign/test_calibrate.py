@@ -112,7 +112,7 @@ def test_a_calibration_that_does_not_fit_is_refused(scenario, done, tmp_path):
     own = {"dem": {"calibration_path": str(out)}}
     with pytest.raises(InputError, match=r"vehicle\.leg_radius_m: .*2\.35"):
         Simulation(scenario.changed(mappers=own, vehicle={"leg_radius_m": 1.8}), 1, "safest")
-    for path, says in (("gone.json", "an existing file"), ("tiny.toml", "JSON")):
+    for path, says in (("gone.json", "does not exist"), ("tiny.toml", "JSON")):
         given = tmp_path / path
         if path == "tiny.toml":
             given.write_text("x = 1")

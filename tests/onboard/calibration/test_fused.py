@@ -56,7 +56,7 @@ def test_a_fit_finds_what_the_second_map_knows():
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        (None, "an existing file"), ("{", "JSON"), ("[]", "format"),
+        (None, "does not exist"), ("{", "JSON"), ("[]", "format"),
         ({"intercept": 0.0, "slope": 1.0}, "is missing"),
         ({"intercept": 0.0, "slope": -1.0, "other": 0.0}, "0 or more"),
         ({"intercept": "x", "slope": 1.0, "other": 0.0}, "a finite number"),
