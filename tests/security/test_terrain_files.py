@@ -160,7 +160,9 @@ def test_no_file_reads_another_folder(tmp_path):
     (folder / "up.lbl").write_text(pds3("../outside/z.img"))
     (folder / "down.lbl").write_text(pds3(str(outside / "z.img")))
     for name in ("up", "down"):
-        with pytest.raises(InputError, match=r"file outside its folder|PDS label that GDAL cannot read"):
+        with pytest.raises(
+            InputError, match=r"files in its own folder|PDS label that GDAL cannot read"
+        ):
             load_terrain(folder / f"{name}.lbl", posting=1.0)
     with pytest.raises(InputError, match="must not be a VRT, which refers to other files"):
         load_terrain(folder / "z.vrt")

@@ -176,11 +176,12 @@ def _check_files(path: Path, source: DatasetReader) -> None:
     ]
     if all(outside):
         name = source.files[parts.index(outside[0][0])]
+        problem = f"must refer only to files in its own folder, but refers to {name}"
+        if Path(name) == path:
+            problem = f"must not be a link to another folder ({outside[0][0]})"
         raise InputError(
-            "terrain.path", str(path),
-            f"must not refer or link to a file outside its folder: {name} is at "
-            f"{outside[0][0]}", "Put all parts of a raster into one folder, without links.",
-            show_value=False,
+            "terrain.path", str(path), problem,
+            "Put all parts of a raster into one folder, without links.",
         )  # fmt: skip
 
 
