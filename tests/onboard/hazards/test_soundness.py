@@ -22,7 +22,7 @@ from lunarsim.onboard.calibration.conservative_probability import (
 )
 from lunarsim.onboard.calibration.ensemble import Ensemble
 from lunarsim.onboard.calibration.evidence import UNCONSTRAINED_FEATURES
-from lunarsim.onboard.calibration.quadtree import MAX_NOISE_RATIO, QUADTREE, SiteEvidence
+from lunarsim.onboard.calibration.quadtree import QUADTREE, SiteEvidence
 from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper
 from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
 from lunarsim.onboard.hazards.quadtree.site_evidence import quadtree_site_evidence
@@ -307,6 +307,12 @@ def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
         (1.0 - MAX_CLAIM_DEFICIT) * ALMOST_CERTAINLY_SAFE_P * expit(2.8 - LOG_ODDS_MARGIN)
     )
     assert not known.any()
+    # Near the domain, the fits still count, but p is no calibrated frequency.
+    near = site(3.0)
+    assert near.near_domain.all() and not near.in_domain.any()
+    p, known = calibrated_safety(near, fits_of(-1.0, -1.0))
+    assert 0.5 * expit(-1.0 - LOG_ODDS_MARGIN) < p[0] < expit(-1.0)
+    assert not known.any()
     # Far from the domain, p is at most the probability of no undetected rock.
     far = site(30.0)
     assert not far.near_domain.any()
@@ -370,8 +376,8 @@ def test_gravel_matters_to_a_site_where_it_tilts_the_lander_too_far(slope, matte
 def test_the_domain_ends_where_rocks_may_stand_unseen_or_noise_is_not_that_of_the_fit():
     assert site(0.02).in_domain.all()
     limit = Lander().roughness_limit
-    assert site(0.02, noise=0.9 * MAX_NOISE_RATIO * limit).in_domain.all()
-    assert not site(0.02, noise=1.1 * MAX_NOISE_RATIO * limit).in_domain.any()
+    assert site(0.02, noise=0.1 * limit).in_domain.all()
+    assert not site(0.02, noise=0.15 * limit).in_domain.any()
     assert site(0.25).in_domain.all()
     assert not site(0.25, min_density=1.0).in_domain.any()
     assert not site(20.0).in_domain.any()
