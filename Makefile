@@ -37,7 +37,7 @@ docs: $(STAMP)          ## the site, in out/docs/index.html
 	mkdir -p $(OUT)
 	echo y | $(BIN)/jcache notebook $(CACHE) add -r myst_nb_md $(TUTORIALS)
 	$(BIN)/jcache project $(CACHE) execute -e local-parallel -t 600
-	$(BIN)/python -m sphinx -W -n --keep-going -j 2 -b html docs $(OUT)/docs
+	$(BIN)/python -m sphinx -W -n --keep-going -b html docs $(OUT)/docs
 	@echo "Site: $(OUT)/docs/index.html"
 
 lock:                   ## the tested versions of dependencies (without PyTorch), and their licences
