@@ -30,7 +30,8 @@ class TouchdownLimit(NamedTuple):
     is_terrain: bool = False
 
 
-# In the order of the checks. A limit on a new value also needs its line in `evaluate_touchdown`.
+# In the order of the checks. A limit on a new value also needs its line in `evaluate_touchdown` and
+# its field in `lunarsim.vehicle.touchdown.Touchdown`.
 LIMITS = (
     TouchdownLimit("vertical-speed", "Vertical speed", "vertical_speed", "vertical_speed_limit"),
     TouchdownLimit(

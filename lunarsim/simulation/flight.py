@@ -108,7 +108,8 @@ class Flight:
         Candidate sites of the last decision (n, 5), float32: position in the local frame, m,
         probability of safe terrain, and propellant, kg.
     readings
-        Readings of each sensor with ``is_recorded``: columns (n,) by name, by sensor.
+        Readings of each sensor with ``is_recorded`` that measured at least once: columns (n,) by
+        name, by sensor.
     """
 
     scenario: str

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Protocol
 
 import numpy as np
@@ -60,6 +60,10 @@ class Touchdown:
     roughness: float
     tip_margin: float
 
+
+_VALUE_FIELDS = {f.name for f in fields(Touchdown)} - {"position", "heading"}
+if set(core.VALUES) != _VALUE_FIELDS:
+    raise TypeError(f"Touchdown must have the fields {', '.join(core.VALUES)}")
 
 # Landing outcome of an aborted flight, which is neither a landing nor a crash.
 ABORTED = "aborted"

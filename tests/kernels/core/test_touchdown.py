@@ -63,7 +63,7 @@ def test_a_lander_tips_over_the_edge_that_it_slides_across():
         failed, values = evaluated(lander, moving, z)
         assert ("tip-over" in failed) == tips
         margin = tip_margin(lander, moving.position, moving.velocity, moving.mass, legs, 0.0, G)
-        assert values[6] == pytest.approx(margin, rel=1e-9)
+        assert values[k.VALUES.index("tip_margin")] == pytest.approx(margin, rel=1e-9)
 
 
 def test_the_first_pad_to_touch_is_found():
