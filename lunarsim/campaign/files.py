@@ -24,7 +24,7 @@ _PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "casadi", "opencv-python-hea
 
 # Differences that do not prevent resuming a campaign. Processors round differently, but only
 # recording this keeps clusters of different machines usable.
-_IGNORED_DIFFERENCES = ("python", "cores", "processor")
+IGNORED_DIFFERENCES = ("python", "cores", "processor")
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
@@ -103,7 +103,7 @@ def environment_differences(first: Mapping[str, str], second: Mapping[str, str])
     `environment` on two machines.
     """
     names = dict.fromkeys([*first, *second])
-    return [n for n in names if n not in _IGNORED_DIFFERENCES and first.get(n) != second.get(n)]
+    return [n for n in names if n not in IGNORED_DIFFERENCES and first.get(n) != second.get(n)]
 
 
 def environment() -> dict[str, str]:

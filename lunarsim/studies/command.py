@@ -10,6 +10,7 @@ from typing import Any
 import click
 from rich.console import Console
 
+from lunarsim.campaign.files import IGNORED_DIFFERENCES
 from lunarsim.campaign.pool import iterate_results
 from lunarsim.console import plain_console, plain_progress
 from lunarsim.errors import InputError
@@ -26,6 +27,9 @@ from lunarsim.studies.results import (
 from lunarsim.studies.study import Case, Study
 
 _CONSOLE_WIDTH = 200
+
+# What must be equal for a folder of results to be continued.
+_IDENTITY = ("study", "version", "code", "script", "options")
 
 
 def run_script(study: Study) -> None:
@@ -153,7 +157,8 @@ def run_study(
         study_name(study), study_script(study),
         {study.repeats: count, "seed": seed, "levels": chosen, **values},
     )  # fmt: skip
-    same = {key: identity[key] for key in ("study", "version", "code", "script", "options")}
+    same = {key: identity[key] for key in _IDENTITY}
+    same["machine"] = {k: v for k, v in identity["machine"].items() if k not in IGNORED_DIFFERENCES}
     journal = Journal(out, same)
     waiting = [index for index in range(len(cases)) if index not in journal.finished]
     with plain_progress(console or plain_console(_CONSOLE_WIDTH)) as progress:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import shlex
@@ -32,11 +33,25 @@ def provenance(name: str, script: Path, options: Mapping[str, Any]) -> dict[str,
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "version": lunarsim.__version__,
         "code": code_digest(),
-        "script": bytes_digest(script.read_bytes())[:12],
+        "script": _script_digest(script),
         "commit": _commit(script),
         "machine": environment(),
         "options": plain(options),
     }
+
+
+def _script_digest(script: Path) -> str:
+    """Return a digest of a script and of the files in its folder that it imports."""
+    files, waiting = set(), [script]
+    while waiting:
+        file = waiting.pop()
+        files.add(file)
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            named = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            named += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            beside = {script.with_name(f"{name}.py") for name in named if name.isidentifier()}
+            waiting += [f for f in beside - files if f.is_file()]
+    return bytes_digest(b"".join(file.read_bytes() for file in sorted(files)))[:12]
 
 
 def _commit(script: Path) -> str:
@@ -94,7 +109,8 @@ class Journal:
             header, *lines = self._path.read_text(encoding="utf-8").split("\n")
             if _line(header) != same:
                 raise InputError(
-                    "--out", str(folder), "holds results of another study, version or options",
+                    "--out", str(folder),
+                    "holds results of another study, version, machine or options",
                     "Use a new folder.",
                 )  # fmt: skip
             for entry in map(_line, lines):

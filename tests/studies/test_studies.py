@@ -93,6 +93,30 @@ def test_a_folder_of_other_results_is_refused(tmp_path, changed):
     assert (tmp_path / "out" / "results.json").read_bytes() == before
 
 
+def test_a_changed_module_beside_the_script_or_another_machine_is_refused(tmp_path):
+    helper, script = tmp_path / "helper_of_study.py", tmp_path / "studied.py"
+    helper.write_text("VALUE = 1.0\n")
+    script.write_text(
+        "'''Toy.'''\n\n"
+        "from helper_of_study import VALUE\n"
+        "from lunarsim.studies import Metric, Study, run_script\n\n\n"
+        "def measure(case):\n    return {'value': VALUE}\n\n\n"
+        "study = Study(measure, repeats='draws', count=1, metrics={'value': Metric('value')})\n"
+        "if __name__ == '__main__':\n    run_script(study)\n"
+    )
+    command = [sys.executable, str(script), "--out", str(tmp_path / "out")]
+    subprocess.run(command, check=True)
+    subprocess.run(command, check=True)
+    helper.write_text("VALUE = 2.0\n")
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "another study, version, machine or options" in done.stderr
+    assert results(tmp_path / "out")["rows"][0]["value"] == 1.0
+    helper.write_text("VALUE = 1.0\n")
+    journal = tmp_path / "out" / "journal.jsonl"
+    journal.write_text(journal.read_text().replace(np.__version__, "1.0.0"))
+    assert subprocess.run(command, capture_output=True, check=False).returncode == 2
+
+
 def test_a_folder_with_other_files_is_refused(tmp_path):
     (tmp_path / "thesis.tex").touch()
     done = invoke("--out", tmp_path)
