@@ -272,10 +272,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         worlds = checked_int("worlds", worlds, 1)
         world_seed = checked_int("world_seed", world_seed, 0)
         if views and (render_mode is None or perception not in FULL_SIMULATION):
-            named = ", ".join(map(repr, FULL_SIMULATION))
-            raise InputError(
-                "views", views, f"needs a render_mode and a perception of {named}", show_value=False
-            )
+            problem = f"needs a render_mode and a perception of {', '.join(FULL_SIMULATION)}"
+            raise InputError("views", views, problem, show_value=False)
         # The class always lists "human", because Gymnasium checks the class before the instance.
         self.metadata = self.metadata | {"render_modes": available_render_modes(modes)}
         self.scenario = retarget_scenario(scenario, changes)
