@@ -28,9 +28,8 @@ lint: $(STAMP)          ## style, types, import contracts, words and names
 bench: $(STAMP)         ## speed, as ratios to references in the same run
 	$(BIN)/python scripts/bench.py
 
-# The tutorials are executed side by side, the longest first, into the cache that Sphinx reads.
-TUTORIALS := docs/tutorials/guidance-law.md docs/tutorials/papers.md \
-	$(filter-out %/index.md %/guidance-law.md %/papers.md,$(wildcard docs/tutorials/*.md))
+# The tutorials are executed side by side into the cache that Sphinx reads.
+TUTORIALS := $(filter-out %/index.md,$(wildcard docs/tutorials/*.md))
 CACHE := -p $(OUT)/.jupyter_cache
 
 docs: $(STAMP)          ## the site, in out/docs/index.html

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.commands import Command
 from lunarsim.messages.measurements import CameraImage, LidarScan, Measurements
@@ -61,7 +62,7 @@ class Recorder:
 
     def __init__(self, target: Array, recorded: Sequence[str] = ()) -> None:
         self._target = target
-        self._readings: dict[str, list[Any]] = {name: [] for name in recorded}
+        self._readings: dict[str, list[dict[str, float]]] = {name: [] for name in recorded}
         self._rows: list[Array] = []
         self._scans: list[Array] = []
         self._sensor_events: list[dict[str, Any]] = []
@@ -89,11 +90,21 @@ class Recorder:
             if isinstance(measurement, LidarScan | CameraImage):
                 self._record_sensor(sensor, measurement, computer)
             if sensor in self._readings:
-                self._readings[sensor].append(measurement)
+                self._add_reading(sensor, measurement)
         for name in computer.updated_mappers:
             self._errors[name] = error
             if self._first_map is None:
                 self._first_map = computer.estimate
+
+    def _add_reading(self, sensor: str, measurement: object) -> None:
+        """Record the numbers of a reading; raise InputError if its columns differ."""
+        rows, row = self._readings[sensor], _reading(sensor, measurement)
+        if rows and list(row) != list(rows[0]):
+            raise InputError(
+                f"sensors.{sensor}", list(row),
+                f"must give the same numbers in every reading, as in the first: {list(rows[0])}",
+            )  # fmt: skip
+        rows.append(row)
 
     def _record_sensor(
         self, sensor: str, measurement: LidarScan | CameraImage, computer: OnboardComputer
@@ -171,24 +182,34 @@ class Recorder:
             first_map=self._first_map,
             scans=np.vstack([np.zeros((0, 4)), *self._scans]).astype(np.float32),
             candidates=_table(computer.candidates).astype(np.float32),
-            readings={name: _columns(found) for name, found in self._readings.items() if found},
+            readings={
+                name: {column: np.array([row[column] for row in rows]) for column in rows[0]}
+                for name, rows in self._readings.items()
+                if rows
+            },
         )
 
 
-def _columns(measurements: Sequence[Any]) -> dict[str, Array]:
-    """Return the fields of measurements as columns (n,) by name, such as "angles_0".
+def _reading(sensor: str, measurement: Any) -> dict[str, float]:
+    """Return the numbers in the fields of a measurement by column, such as "angles_0".
 
-    `measurements` are dataclass objects of one type; fields that are None are omitted.
+    Fields that are None are omitted. Raise InputError, naming the sensor, for other contents.
     """
-    columns: dict[str, Array] = {}
-    for f in fields(measurements[0]):
-        values = [getattr(one, f.name) for one in measurements]
-        if values[0] is None:
-            continue
-        table = np.array(values, dtype=np.float64).reshape(len(values), -1)
-        names = [f.name] if table.shape[1] == 1 else [f"{f.name}_{k}" for k in range(len(table.T))]
-        columns |= dict(zip(names, table.T.copy(), strict=True))
-    return columns
+    row: dict[str, float] = {}
+    try:
+        for f in fields(measurement):
+            value = getattr(measurement, f.name)
+            if value is None:
+                continue
+            numbers = np.asarray(value, dtype=np.float64).ravel()
+            single = numbers.size == 1
+            row |= {f.name if single else f"{f.name}_{k}": float(x) for k, x in enumerate(numbers)}
+    except (TypeError, ValueError):
+        raise InputError(
+            f"sensors.{sensor}", type(measurement).__name__,
+            "must give readings of dataclasses with numbers and vectors, because it is recorded",
+        ) from None  # fmt: skip
+    return row
 
 
 def _as_dict(time: float, old: Array, new: Decision) -> dict[str, Any]:

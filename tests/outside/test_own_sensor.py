@@ -87,3 +87,31 @@ def test_readings_of_a_sensor_without_a_user_are_recorded(small, tmp_path):
     plain = Simulation(small, 5, "no-divert").run()
     assert Flight.load(plain.save(tmp_path / "flight")).readings == {}
     assert not list((tmp_path / "flight").glob("readings.*"))
+
+
+@dataclass(frozen=True)
+class TextSensor(SunSensor):
+    """A recorded sensor whose readings hold a text."""
+
+    def measure(self, world, state, time, rng, mount=None):
+        """Return a text in place of the direction."""
+        return SunReading(time, "up")
+
+
+@dataclass(frozen=True)
+class GrowingSensor(SunSensor):
+    """A recorded sensor whose readings become longer."""
+
+    def measure(self, world, state, time, rng, mount=None):
+        """Return one more number in each cycle."""
+        return SunReading(time, np.zeros(2 + round(10.0 * time)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"), [("TextSensor", "numbers and vectors"), ("GrowingSensor", "same numbers")]
+)
+def test_readings_that_are_no_table_are_refused_when_they_are_measured(small, kind, words):
+    allow_modules(__name__)
+    sensors = small.to_dict()["sensors"] | {"sun": {"kind": f"{__name__}:{kind}"}}
+    with pytest.raises(InputError, match=rf"sensors\.sun.*{words}"):
+        Simulation(small.changed(sensors=sensors), 5, "no-divert").run()
