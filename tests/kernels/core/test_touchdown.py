@@ -89,3 +89,22 @@ def test_beyond_its_posts_terrain_is_unknown():
     assert k.height_at(z, frame, 2.375, 2.875) == pytest.approx(98.25)
     for x, y in ((0.99, 2.5), (2.51, 2.5), (1.25, 1.99), (1.25, 3.01), (np.nan, 2.5)):
         assert np.isnan(k.height_at(z, frame, x, y))
+
+
+def test_limits_of_terrain_are_violated_when_reached_and_those_of_motion_when_exceeded():
+    lander, state, z = random_touchdown(1)
+    params, values = touchdown_params(lander, G), np.empty(len(k.VALUES))
+
+    def causes(limits):
+        failed = k.evaluate_on_raster(
+            state.as_vector(), lander.pads, pad_disc(0.5 * lander.pad_diameter),
+            TERRAIN_SAMPLE_SPACING_M, z, FRAME, params._replace(limits=limits), values,
+        )  # fmt: skip
+        return set(violated_limits(failed)) - {"tip-over"}
+
+    causes(params.limits)
+    reached = np.array([values[k.VALUES.index(limit.value)] for limit in k.LIMITS])
+    assert np.isfinite(reached).all()
+    assert causes(reached) == {limit.cause for limit in k.LIMITS if limit.is_terrain}
+    assert causes(np.nextafter(reached, np.inf)) == set()
+    assert causes(np.nextafter(reached, -np.inf)) == {limit.cause for limit in k.LIMITS}
