@@ -147,8 +147,8 @@ def matching_manifest(folder: Path, plan: Plan) -> dict[str, Any] | None:
         key, old, new = difference
         raise InputError(
             "--out", str(folder),
-            f"contains another campaign: its {key} is {_shown(old)}, that of this campaign is "
-            f"{_shown(new)}", "Use a new folder, or the campaign file that belongs to it.",
+            f"contains another campaign ({key}: {_shown(old)} in the folder, {_shown(new)} in this "
+            "campaign)", "Use a new folder, or the campaign file of that folder.",
             show_value=False,
         )  # fmt: skip
     return manifest

@@ -187,7 +187,7 @@ def kinds(contract: str) -> dict[str, str]:
                 f"entry point lunarsim.{contract}",
                 point.name,
                 "must have a unique name",
-                f"Rename {point.value}, because {found[point.name]} has this name.",
+                f"Give {point.value} another entry-point name: {found[point.name]} has this one.",
             )
         found[point.name] = point.value
     return found

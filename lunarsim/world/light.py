@@ -87,7 +87,8 @@ class Light:
         0.26,
         ge=0,
         le=0.9,
-        help="Hapke parameter b: width of the forward and backward lobes of the phase function",
+        help="Hapke parameter b, the asymmetry of the forward and backward lobes of the phase "
+        "function: larger values give narrower lobes",
     )
     hapke_c: float = quantity(
         0.08,

@@ -66,8 +66,9 @@ class Hapke:
     w
         Single-scattering albedo.
     b, c
-        Width of the lobes of the double Henyey-Greenstein phase function, and excess of the
-        backward lobe over the forward lobe: their weights are (1 + c) / 2 and (1 - c) / 2.
+        Asymmetry of the lobes of the double Henyey-Greenstein phase function (larger values
+        give narrower lobes), and excess of the backward lobe over the forward lobe: their
+        weights are (1 + c) / 2 and (1 - c) / 2.
     surge, surge_width
         Amplitude B0 and width h of the surge; h is the tangent of half the phase angle at which
         the surge is B0 / 2.

@@ -179,7 +179,7 @@ def test_a_folder_of_anything_else_is_refused_and_left_alone(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["precious.txt"]
     run(plan(flights=2), InlineEngine(), tmp_path / "c")
     kept = {p: p.read_bytes() for p in (tmp_path / "c").rglob("*") if p.is_file()}
-    with pytest.raises(InputError, match=r"its seed is 1, that of this campaign is 2"):
+    with pytest.raises(InputError, match=r"seed: 1 in the folder, 2 in this"):
         run(plan(flights=2, seed=2), InlineEngine(), tmp_path / "c")
     for key, value in (("version", "0.0.9"), ("code", "0" * 12), ("format", 99)):
         manifest = json.loads((tmp_path / "c" / "manifest.json").read_text())

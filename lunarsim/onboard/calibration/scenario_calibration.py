@@ -31,7 +31,10 @@ MetricTable = Mapping[str, Mapping[str, float | None]]
 
 # Fields of the lander that affect the safety of a site.
 _LANDER = ("legs", "leg_radius", "pad_diameter", "slope_limit", "roughness_limit")
-_REFIT_REMEDY = "Fit it again with `lunarsim calibrate`, or omit the calibration."
+_REFIT_REMEDY = (
+    "Set it to the value of the calibration file, make a new calibration file with `lunarsim "
+    "calibrate`, or delete the mapper's key calibration."
+)
 
 
 # Minimum number of safe and of unsafe sites for fitting a stage.

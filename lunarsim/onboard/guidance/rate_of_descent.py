@@ -72,10 +72,11 @@ class RateOfDescent:
         10.0,
         "s",
         gt=0,
-        help="ratio of the height above the site to the rate of descent that the pilot wants",
+        help="time constant of the descent: the pilot's desired rate of descent is the height "
+        "above the site divided by this time",
     )
     max_rate: float = quantity(
-        4.5, "m/s", gt=0, help="maximum rate of descent that the pilot wants"
+        4.5, "m/s", gt=0, help="maximum of the pilot's desired rate of descent"
     )
     check_interval: float = quantity(
         0.5, "s", gt=0, help="time between two checks of the horizontal velocity by the pilot"
@@ -84,20 +85,20 @@ class RateOfDescent:
         8.0,
         "s",
         gt=0,
-        help="ratio of the horizontal distance from the aim point to the horizontal speed that the "
-        "pilot wants",
+        help="time constant of the horizontal approach: the pilot's desired horizontal speed is "
+        "the horizontal distance to the aim point divided by this time",
     )
     zero_speed_height: float = quantity(
         10.0,
         "m",
         ge=0,
-        help="height above the site below which the pilot wants zero horizontal speed",
+        help="height above the site below which the pilot's desired horizontal speed is zero",
     )
     correction_time: float = quantity(
         3.0,
         "s",
         gt=0,
-        help="time in which the pilot wants to remove an error of the horizontal velocity",
+        help="time constant with which the pilot corrects the horizontal velocity",
     )
     max_tilt: float = quantity(
         15.0, "deg", gt=0, lt=60, help="maximum angle of the thrust from the vertical"

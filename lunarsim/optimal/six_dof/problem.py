@@ -82,7 +82,7 @@ class SiteVisibility:
             raise InputError(
                 "optimal.sight.half_angle",
                 self.half_angle,
-                "must be a number of more than 0 and less than pi/2 rad (90 degrees)",
+                "must be more than 0 and less than pi/2 rad (90 degrees)",
             )
         if not (is_number(self.visible_fraction) and 0.0 < self.visible_fraction <= 1.0):
             raise InputError(
@@ -219,7 +219,7 @@ class RigidDescent:
                 raise InputError(
                     f"optimal.{name}",
                     angle,
-                    "must be a number of more than 0 and less than pi/2 rad (90 degrees)",
+                    "must be more than 0 and less than pi/2 rad (90 degrees)",
                 )
         rate = self.max_rate
         if rate is not None and not (is_number(rate) and rate > 0.0):

@@ -71,7 +71,11 @@ def open_raster(path: Path) -> Iterator[DatasetReader]:
             raise
         except _ERRORS as error:
             problem = f"cannot be read by GDAL ({_first_line(error.__cause__ or error)})"
-            raise InputError("terrain.path", str(path), problem) from None
+            remedy = (
+                "The file, or a file to which it refers, may be damaged, incomplete or missing: "
+                "copy or download it again. Files on the network are not read."
+            )
+            raise InputError("terrain.path", str(path), problem, remedy) from None
 
 
 def _opened(path: Path) -> DatasetReader:

@@ -194,10 +194,9 @@ class InterestMap:
         except (KeyError, ValueError, TypeError) as error:
             reason = f"the array {error} is missing" if isinstance(error, KeyError) else error
             raise InputError(
-                "sites.interest_path",
-                str(path),
-                f"must be an .npz file with the arrays value, x0, y0 and posting ({reason})",
-            ) from None
+                "sites.interest_path", str(path), f"cannot be read, because {reason}",
+                "Give an .npz file with the arrays value, x0, y0 and posting.",
+            ) from None  # fmt: skip
         if value.ndim != 2:
             raise InputError("interest", value.shape, "must have shape (rows, columns)")
         return cls(Grid(x0, y0, posting, *value.shape), value)
