@@ -221,11 +221,3 @@ class JetLander(Lander):
         full = (mass - self.dry_mass) / self.propellant_mass
         dry, wet = np.asarray(self.com_dry), np.asarray(self.com_full)
         return np.asarray(dry + full * (wet - dry))
-
-
-def centre_of_mass(lander: Lander, mass: float) -> Array:
-    """Return the centre of mass (3,), body axes, m, of a lander with a mass (kg).
-
-    The centre of mass of a lander without thrusters is the origin of the body axes.
-    """
-    return lander.com(mass) if isinstance(lander, JetLander) else np.zeros(3)

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from lunarsim.errors import InputError
-from lunarsim.parts.quantity import check_bounds, quantity
+from lunarsim.parts.quantity import check_bounds, hidden, quantity
 from lunarsim.typing import Array
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, by definition; turns specific impulse into exhaust speed
@@ -55,6 +55,10 @@ class Lander:
         Maximum tilt of the body from the vertical at first pad contact, rad.
     rate_limit
         Maximum angular rate at touchdown, rad/s.
+    thrust_scale, torque_scale, thrust_misalignment, com_offset
+        Deviations of a true lander (`VehicleDeviations`): true thrust and torque divided by the
+        commanded ones, rotation of the thrust axis about body x and y (2,), rad, and position of
+        the centre of mass relative to the body's origin (3,), body axes, m.
 
     Examples
     --------
@@ -111,6 +115,10 @@ class Lander:
     rate_limit: float = quantity(
         6.0, "deg/s", gt=0, help="maximum angular rate at a safe touchdown"
     )
+    thrust_scale: float = hidden(1.0)
+    torque_scale: float = hidden(1.0)
+    thrust_misalignment: tuple[float, float] = hidden((0.0, 0.0))
+    com_offset: tuple[float, float, float] = hidden((0.0, 0.0, 0.0))
 
     def __post_init__(self) -> None:
         check_bounds(self, "vehicle")
@@ -171,6 +179,10 @@ class Lander:
                 np.full(self.legs, -self.com_height),
             )
         )
+
+    def com(self, mass: float) -> Array:
+        """Return the centre of mass (3,), body axes, m, for a total mass (kg)."""
+        return np.asarray(self.com_offset)
 
     def inertia(self, mass: float) -> Array:
         """Return the principal moments of inertia (3,), kg m^2, for a total mass (kg)."""

@@ -99,6 +99,10 @@ class CheckedTables(Protocol):
         """Table of the lander."""
         ...
 
+    def true_lander(self) -> Any:
+        """Create the true lander, with the deviations of `[truth.vehicle]`."""
+        ...
+
     @property
     def sun(self) -> Any:
         """Table of the illumination by the Sun."""
@@ -370,7 +374,7 @@ def _check_actuators(scenario: CheckedTables) -> None:
 
     A lander with attitude thrusters (`JetLander`) needs control that commands torques, with a
     period that the thrusters can follow. Control that commands thrusters needs such a lander.
-    Faults must fit the engine and the number of thrusters.
+    Faults must fit the engine and the number of thrusters, and the true lander must be possible.
     """
     lander, control = scenario.vehicle.make(), scenario.control.make()
     jets = isinstance(lander, JetLander)
@@ -388,6 +392,7 @@ def _check_actuators(scenario: CheckedTables) -> None:
             f"{_kinds_of('vehicle', JetLander)}, but vehicle.kind is {scenario.vehicle.kind!r}",
             "Change the vehicle, or use control.kind = 'pd', for instance.", show_value=False,
         )  # fmt: skip
+    scenario.true_lander()
     if scenario.faults is not None:
         faults = scenario.faults.make()
         if jets:

@@ -20,6 +20,7 @@ from lunarsim.scenario.rewards import DescentReward, SiteReward
 from lunarsim.vehicle.domain_randomization import DomainRandomization
 from lunarsim.vehicle.faults import Faults
 from lunarsim.vehicle.legs import Legs
+from lunarsim.vehicle.true_vehicle import Truth
 from lunarsim.world.far_terrain import FarTerrainSettings
 from lunarsim.world.light import Light
 from lunarsim.world.survey import PriorMapSurvey
@@ -28,6 +29,7 @@ from lunarsim.world.survey import PriorMapSurvey
 FIXED: dict[str, type] = {
     "rocks": RockPopulation,
     "sun": Light,
+    "truth": Truth,
     "start": Start,
     "target": PlannedSite,
     "expected_rocks": RockExpectation,
@@ -78,7 +80,7 @@ NAMED: dict[str, tuple[str, dict[str, dict[str, Any]]]] = {
 # Keys that define the world and the vehicle.
 WORLD_KEYS = (
     "name", "description", "gravity_m_s2", "moon", "far_terrain", "terrain", "rocks", "sun",
-    "vehicle", "legs", "target",
+    "vehicle", "truth", "legs", "target",
 )  # fmt: skip
 # Tables of earlier versions, and the tables that replace them.
 MOVED_TABLES: dict[str, str] = {

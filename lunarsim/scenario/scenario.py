@@ -26,7 +26,9 @@ from lunarsim.scenario.files import parsed_toml, read_toml
 from lunarsim.scenario.resource_estimate import check_memory
 
 if TYPE_CHECKING:
+    from lunarsim.models.lander import Lander
     from lunarsim.scenario import tables
+    from lunarsim.vehicle.true_vehicle import VehicleDeviations
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,7 @@ class Scenario:
     rocks: tables.RocksTable
     sun: tables.SunTable
     vehicle: tables.VehicleTable
+    truth: tables.TruthTable
     faults: tables.FaultsTable | None
     legs: tables.LegsTable | None
     domain_randomization: tables.DomainRandomizationTable | None
@@ -279,6 +282,18 @@ class Scenario:
             braking=None if self.braking is None else self.braking.make(),
             designation_window=None if self.window is None else self.window.make(),
         )
+
+    def true_lander(self) -> Lander:
+        """Create the true lander: `[vehicle]` with the deviations of `[truth.vehicle]`.
+
+        Raises
+        ------
+        InputError
+            If the deviations give an impossible lander.
+        """
+        nominal: Lander = self.vehicle.make()
+        deviations: VehicleDeviations = self.truth.make().vehicle
+        return deviations.true_lander(nominal)
 
     def to_dict(self) -> dict[str, Any]:
         """Return all values of the scenario as nested dictionaries, including defaults.

@@ -75,6 +75,12 @@ class SunChanges(TypedDict, total=False):
     photometry: Literal["lambert", "lunar-lambert", "hapke"]
     scattered_light: bool
 
+class TruthTable(PartSettings):
+    vehicle: Any
+
+class TruthChanges(TypedDict, total=False):
+    vehicle: Any
+
 class StartTable(PartSettings):
     heading_deg: float
     position_m: tuple[float, float, float]
@@ -817,6 +823,7 @@ class FlightChanges(TypedDict, total=False):
     gravity_m_s2: float
     rocks: RocksChanges
     sun: SunChanges
+    truth: TruthChanges
     start: StartChanges
     target: TargetChanges
     expected_rocks: ExpectedRocksChanges

@@ -76,7 +76,8 @@ def _fly_compiled(
     history, increments, torques = k.fly_cycle_steps(
         plant.state.as_vector(), plant.steps, d.step, d.thrust(thrust), d.params, d.inertia,
         d.plain_rig, loop.state, loop.target, loop.gains, loop.inertia, loop.torque_max,
-        gyros.matrix, gyros.offsets(plant.steps), gyros.errors.quantum, gyros.remainder,
+        d.lander.torque_scale, gyros.matrix, gyros.offsets(plant.steps), gyros.errors.quantum,
+        gyros.remainder,
     )  # fmt: skip
     return history, increments, torques
 

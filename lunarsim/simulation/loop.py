@@ -135,10 +135,10 @@ class Simulation:
         self._truth = truth
         state, briefing = plan(scenario, world, self.streams)
         self.briefing = briefing
-        clock = scenario.simulation.make()
+        clock, lander = scenario.simulation.make(), scenario.true_lander()
         self.plant = Plant(
             world,
-            Dynamics(briefing.lander, world.gravity, clock.step, world.moon),
+            Dynamics(lander, world.gravity, clock.step, world.moon),
             state,
             {
                 name: (part.make(), self.streams.get(f"sensors.{name}"))
@@ -147,8 +147,8 @@ class Simulation:
             steps=clock.steps,
             max_time=clock.max_time,
             legs=None if scenario.legs is None else scenario.legs.make(),
-            actuators=_actuators(scenario, briefing.lander, clock.step),
-            faults=_faults(scenario, briefing.lander),
+            actuators=_actuators(scenario, lander, clock.step),
+            faults=_faults(scenario, lander),
         )
         # A policy that uses the truth is queried here; any other runs on the computer.
         self._oracle = self.policy if getattr(self.policy, "knows_truth", False) else None
@@ -173,7 +173,7 @@ class Simulation:
 
     @property
     def lander(self) -> Lander:
-        """Parameters of the lander."""
+        """Parameters of the true lander."""
         return self.plant.lander
 
     @property

@@ -203,6 +203,7 @@ def plan(scenario: Scenario, world: World, streams: RandomStreams) -> tuple[Stat
             f"must equal gravity_m_s2 of the scenario ({scenario.gravity_m_s2})",
         )  # fmt: skip
     lander: Lander = scenario.vehicle.make()
+    true_lander = scenario.true_lander()
     lander.check_hover(scenario.gravity_m_s2)
     start: Start = scenario.start.make()
     target = draw_target(scenario.target.make(), world.terrain, lander, streams)
@@ -237,6 +238,9 @@ def plan(scenario: Scenario, world: World, streams: RandomStreams) -> tuple[Stat
         cycle=clock.cycle,
     )
     state = trimmed_start_state(state, upright)
+    state = replace(
+        state, mass=true_lander.wet_mass, thrust=true_lander.thrust_scale * state.thrust
+    )
     knowledge = (
         InitialUncertainty()
         if scenario.initial_uncertainty is None

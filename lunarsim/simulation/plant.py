@@ -16,7 +16,6 @@ from lunarsim.frames import quat_rotate
 from lunarsim.messages.commands import Command, SensorTask
 from lunarsim.messages.measurements import InertialSamples, Measurements
 from lunarsim.models.gimbal import limit_mount
-from lunarsim.models.jet_lander import centre_of_mass
 from lunarsim.onboard.result_checks import wrong_result_error
 from lunarsim.sensors.imu import Imu
 from lunarsim.sensors.interface import Sensor, SensorPart
@@ -267,7 +266,7 @@ class Plant:
         """
         if self.world.height(history[-1, :3]) - self._high > _MAX_CONTACT_HEIGHT_M:
             return None
-        mounted = self.lander.pads - centre_of_mass(self.lander, float(history[0, 13]))
+        mounted = self.lander.pads - self.lander.com(float(history[0, 13]))
         pads = history[:, None, 0:3] + quat_rotate(history[:, None, 6:10], mounted)
         gap = pads[..., 2] - self.world.terrain.elevation(pads[..., :2])
         if not np.any(gap <= 2.0):

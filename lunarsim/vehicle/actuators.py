@@ -6,7 +6,7 @@ import numpy as np
 
 from lunarsim.models.jet_lander import JetLander
 from lunarsim.typing import Array
-from lunarsim.vehicle.dynamics import Dynamics, build_rig
+from lunarsim.vehicle.dynamics import Dynamics, build_rig, thrust_axis
 from lunarsim.vehicle.faults import Faults
 from lunarsim.vehicle.slosh import SloshPendulums
 from lunarsim.vehicle.state import State
@@ -108,10 +108,11 @@ class Actuators:
         flow = self.lander.thrusters.propellant_flow * float(share.sum())
         rig = dynamics.on_moon(self.rig(share @ self._forces, flow))
         torque = share @ self._torques
+        thrust = self.lander.thrust_scale * throttle
         if self.slosh_pendulums is None:
-            moved = dynamics.advance_with_rig(state, throttle, torque, rig)
+            moved = dynamics.advance_with_rig(state, thrust, torque, rig)
         else:
-            moved = self.slosh_pendulums.advance(dynamics, state, throttle, torque, rig)
+            moved = self.slosh_pendulums.advance(dynamics, state, thrust, torque, rig)
         self.spent += flow * self.step
         self.on_time += share * self.step
         self._open_for += np.minimum(self._remaining_on_time, self.step)
@@ -126,8 +127,8 @@ class Actuators:
         `force` (3,) is the total force of the thrusters, body axes, N, and `flow` their propellant
         flow, kg/s.
         """
-        v, (x, y) = self.lander, self.gimbal
-        engine = (np.sin(y) * np.cos(x), -np.sin(x), np.cos(y) * np.cos(x))
+        v = self.lander
+        engine = thrust_axis(*(self.gimbal + v.thrust_misalignment))
         pivot = (0.0, 0.0, -v.engine.pivot_depth)
         return build_rig(
             force=force, flow=flow, engine=engine, pivot=pivot, com_dry=v.com_dry,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -55,6 +56,13 @@ def build_rig(
 PLAIN_RIG = build_rig()
 
 
+def thrust_axis(about_x: float, about_y: float) -> tuple[float, float, float]:
+    """Return the thrust axis (3,), body axes, for rotations of the engine, rad."""
+    return (
+        np.sin(about_y) * np.cos(about_x), -np.sin(about_x), np.cos(about_y) * np.cos(about_x),
+    )  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Dynamics:
     """Motion of a rigid body with variable mass, integrated by the Runge-Kutta method.
@@ -96,10 +104,16 @@ class Dynamics:
             if not (np.isfinite(value) and value > 0.0):
                 raise InputError(f"dynamics.{name}", value, "must be positive and finite")
 
-    @property
+    @cached_property
     def plain_rig(self) -> Array:
         """Array (21,) of `build_rig` for a body without thrusters and gimbal."""
-        return PLAIN_RIG if self.moon is None else self.on_moon(PLAIN_RIG.copy())
+        v = self.lander
+        return self.on_moon(
+            build_rig(
+                engine=thrust_axis(*v.thrust_misalignment), com_dry=v.com_offset,
+                com_full=v.com_offset,
+            )
+        )  # fmt: skip
 
     def on_moon(self, rig: Array) -> Array:
         """Write the Moon's radius and spin into an array of `build_rig`; return the array.
@@ -122,15 +136,14 @@ class Dynamics:
         return np.array([self.lander.inertia_dry, self.lander.inertia_full], dtype=np.float64)
 
     def thrust(self, commanded_thrust: float) -> float:
-        """Return the thrust for a command, N: clipped to the throttle range, or 0.
+        """Return the true thrust for a command, N: clipped to the throttle range, or 0.
 
         A command of 0 or less gives 0.
         """
-        return (
-            min(max(commanded_thrust, self.lander.thrust_min), self.lander.thrust_max)
-            if commanded_thrust > 0
-            else 0.0
-        )
+        if commanded_thrust <= 0:
+            return 0.0
+        v = self.lander
+        return v.thrust_scale * min(max(commanded_thrust, v.thrust_min), v.thrust_max)
 
     def advance(self, state: State, thrust: float, torque: Array) -> State:
         """Return the state one step later for commanded thrust (N) and torques (3,), N m.
@@ -138,9 +151,8 @@ class Dynamics:
         Thrust and torques are clipped to the limits of the lander.
         """
         limit = np.asarray(self.lander.torque_max)
-        return self.advance_with_rig(
-            state, self.thrust(thrust), np.clip(torque, -limit, limit), self.plain_rig
-        )
+        torque = self.lander.torque_scale * np.clip(torque, -limit, limit)
+        return self.advance_with_rig(state, self.thrust(thrust), torque, self.plain_rig)
 
     def advance_with_rig(self, state: State, thrust: float, torque: Array, rig: Array) -> State:
         """Return the state one step later for given forces, without limits.

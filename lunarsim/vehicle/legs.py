@@ -13,7 +13,6 @@ import numpy as np
 from scipy import ndimage
 
 from lunarsim.frames import quat_rotate, quat_to_matrix
-from lunarsim.models.jet_lander import centre_of_mass
 from lunarsim.models.lander import Lander
 from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.typing import Array
@@ -196,7 +195,7 @@ def settle(legs: Legs, dynamics: Dynamics, state: State, terrain: ElevationModel
     """
     lander = dynamics.lander
     patch = TerrainPatch.of(lander, state, terrain)
-    shift = centre_of_mass(lander, state.mass)
+    shift = lander.com(state.mass)
     pads = np.ascontiguousarray(lander.pads - shift)
     law = np.array(
         [

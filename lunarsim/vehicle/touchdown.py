@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from lunarsim.core import touchdown as core
 from lunarsim.frames import quat_rotate
-from lunarsim.models.jet_lander import centre_of_mass
 from lunarsim.models.lander import Lander
 from lunarsim.typing import Array
 from lunarsim.vehicle.state import State
@@ -107,7 +106,7 @@ def pad_contacts(lander: Lander, state: State, terrain: ElevationModel) -> Array
     Each contact point has the position of the pad's centre and the height of the highest terrain
     under the pad.
     """
-    pads = lander.pads - centre_of_mass(lander, state.mass)
+    pads = lander.pads - lander.com(state.mass)
     centres = state.position + quat_rotate(state.attitude, pads)
     spots = centres[:, None, :2] + pad_disc(0.5 * lander.pad_diameter)
     return np.column_stack((centres[:, :2], terrain.elevation(spots).max(axis=1)))

@@ -5,7 +5,7 @@ A lane is one lander of the batch with its current flight.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from lunarsim.scenario import Scenario
 from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.vehicle._kernels import SIMD_BATCH
 from lunarsim.vehicle.domain_randomization import RANDOM_QUANTITIES, DomainRandomization
-from lunarsim.vehicle.dynamics import PLAIN_RIG, Dynamics
+from lunarsim.vehicle.dynamics import Dynamics
 from lunarsim.vehicle.touchdown import (
     TERRAIN_SAMPLE_SPACING_M,
     pad_disc,
@@ -47,7 +47,9 @@ class VehicleParams:
     Attributes
     ----------
     dynamics
-        Vehicle, gravity and time step.
+        Nominal vehicle, gravity and time step.
+    true_lander
+        Vehicle with the deviations of `[truth.vehicle]`.
     gains
         Gains of the attitude loop (3,), defined in `ProportionalDerivative`.
     heading, max_tilt
@@ -64,6 +66,7 @@ class VehicleParams:
     """
 
     dynamics: Dynamics
+    true_lander: Lander
     gains: Array
     heading: float
     max_tilt: float
@@ -99,14 +102,16 @@ class VehicleParams:
                 "control.kind", type(control).__name__, "must be 'pd' in this environment"
             )
         lander.check_hover(scenario.gravity_m_s2)
+        true_lander = scenario.true_lander()
         randomization = (
             None if scenario.domain_randomization is None else scenario.domain_randomization.make()
         )
-        _check_ranges(randomization, lander, scenario.simulation.make().step)
+        _check_ranges(randomization, true_lander, scenario.simulation.make().step)
         start, target = scenario.start.make(), scenario.target.make()
         clock, approach = scenario.simulation.make(), scenario.approach.make()
         return cls(
             Dynamics(lander, scenario.gravity_m_s2, clock.step),
+            true_lander,
             control.gains,
             start.heading,
             approach.max_tilt,
@@ -212,7 +217,7 @@ class DescentBatch:
     def __init__(
         self, count: int, craft: VehicleParams, worlds: WorldPool, *, guided: bool, rate: float
     ) -> None:
-        d, lander = craft.dynamics, craft.dynamics.lander
+        d = replace(craft.dynamics, lander=craft.true_lander)
         self.count, self.craft, self.worlds, self.guided = count, craft, worlds, guided
         self.steps = craft.steps(rate)
         self.y, self.target = np.zeros((count, 15)), np.zeros((count, 3))
@@ -224,16 +229,18 @@ class DescentBatch:
         self.has_key = np.zeros(count, np.bool_)
         self._keys, self._flight_counts = np.zeros(count, np.uint64), np.zeros(count, np.int64)
         self._rate, self.world = np.zeros((count, 3)), np.zeros(count, np.int64)
+        self._true_params = d.params
         self.params = np.tile(d.params, (count, 1))
         self.randomized = np.tile(_ALIKE, (count, 1))
+        self._add_deviations(np.ones(count, np.bool_))
         self._counts = np.zeros(count, np.int64)
         self._upright = attitude_from_thrust([0.0, 0.0, 1.0], craft.heading)
-        self._weight = np.array([lander.wet_mass, lander.wet_mass * d.gravity])
-        v = lander
+        v = craft.true_lander
+        self._weight = np.array([v.wet_mass, v.wet_mass * d.gravity])
         control = [v.thrust_min, v.thrust_max, craft.max_tilt, *craft.gains, *v.torque_max]
         self._vehicle = k.Vehicle(
-            self.params, self.randomized, d.inertia, PLAIN_RIG, np.array(control), craft.heading,
-            v.pads, pad_disc(0.5 * v.pad_diameter), TERRAIN_SAMPLE_SPACING_M,
+            self.params, self.randomized, d.inertia, d.plain_rig, np.array(control), craft.heading,
+            v.pads - v.com_offset, pad_disc(0.5 * v.pad_diameter), TERRAIN_SAMPLE_SPACING_M,
             touchdown_params(v, d.gravity).limits, v.com_height,
         )  # fmt: skip
         self._terrains = k.TerrainRasters(worlds.terrains, worlds.frame, worlds.levels)
@@ -277,11 +284,23 @@ class DescentBatch:
             if self.craft.domain_randomization is not None:
                 k.randomize(
                     mask, self._keys, self._flight_counts, self.craft.domain_randomization.ranges,
-                    STANDARD_GRAVITY, self.craft.dynamics.params, self.randomized, self.params,
+                    STANDARD_GRAVITY, self._true_params, self.randomized, self.params,
                     self.y,
                 )  # fmt: skip
+                self._add_deviations(mask)
         self.failed[mask] = 0
         self.touchdown_values[mask] = np.nan
+
+    def _add_deviations(self, mask: BoolArray) -> None:
+        """Add the true lander's deviations to the parameters of the lanes `mask` (n,).
+
+        The commanded thrust of an acceleration is computed with the mass without the deviation.
+        """
+        true, nominal = self.craft.true_lander, self.craft.dynamics.lander
+        values = self.randomized
+        values[mask, k.LOAD] += true.wet_mass - nominal.wet_mass
+        values[mask, k.THRUST] += (true.thrust_scale - 1.0) * (1.0 + values[mask, k.THRUST])
+        values[mask, k.TORQUE : k.SEES_LATE] *= true.torque_scale
 
     def normals(self, mask: BoolArray, size: int) -> Array:
         """Return `size` standard normal numbers per lander of `mask` (n, size).

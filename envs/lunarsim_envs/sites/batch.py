@@ -75,6 +75,11 @@ def _check_supported(scenario: Scenario, guidance: Any) -> None:
             "must be a law with paths of one shape (as 'apollo' has) for this perception",
             "Otherwise use perception='onboard'.",
         )  # fmt: skip
+    if scenario.true_lander() != scenario.vehicle.make():
+        raise InputError(
+            "truth.vehicle", None, "must be omitted for this perception",
+            "Otherwise use perception='onboard'.", show_value=False,
+        )  # fmt: skip
     for table in ("braking", "window", "terminal_descent", "domain_randomization", "prior_map"):
         if getattr(scenario, table) is not None:
             remedy = (
