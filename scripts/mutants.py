@@ -140,6 +140,10 @@ _TESTS: dict[str, tuple[str, ...]] = {
         "tests/onboard/guidance/test_divert.py",
         "tests/onboard/guidance/test_held_times.py",
     ),
+    "lunarsim/core/feedback.py": (
+        "tests/onboard/guidance/test_laws_from_equations.py",
+        "tests/onboard/guidance/test_laws.py",
+    ),
     "lunarsim/core/guidance.py": (
         "tests/onboard/guidance/test_vertical.py",
         "tests/onboard/guidance/test_strain.py",

@@ -34,6 +34,8 @@ class VerticalDescentParams(NamedTuple):
     low_height: float
     tolerated_speed: float
     min_speed_fraction: float
+    hold_propellant: float
+    dry_mass: float
 
 
 @kernel(exact=True)
@@ -83,31 +85,33 @@ def _tan_max_tilt(height, full_tilt_height, law):
 
 
 @kernel(exact=True)
-def _limit_descent_speed(state, height, nominal, law):
-    """Return the vertical velocity, m/s, slowed while the lander drifts too fast.
+def _limit_descent_speed(state, height, nominal, mass, law):
+    """Return the vertical velocity, m/s, slower while the lander drifts too fast.
 
     The result is `nominal`, the nominal vertical velocity, m/s (negative), if the lander can stop
-    its drift within `height`, m, above touchdown. `state` (2, 3) is position and velocity; `law` is
-    a `VerticalDescentParams`.
+    its drift within `height`, m, above touchdown. Otherwise it falls to zero with the height, or,
+    at a `mass` (kg) with little propellant left, to a fraction of `nominal`. `state` (2, 3) is
+    position and velocity; `law` is a `VerticalDescentParams`.
     """
     excess = max(np.hypot(state[1, 0], state[1, 1]) - law.tolerated_speed, 0.0)
     # The maximum tilt decreases with height: plan with half of the value at this height.
     stopping = excess / (0.5 * law.gravity * _tan_max_tilt(height, law.full_tilt_height, law))
     if excess == 0.0 or -nominal * stopping <= height:
         return nominal
-    return min(-height / stopping, law.min_speed_fraction * nominal)
+    may_hold = mass > law.dry_mass + law.hold_propellant
+    return min(-height / stopping, 0.0 if may_hold else law.min_speed_fraction * nominal)
 
 
 @kernel(exact=True)
-def vertical_descent_command(state, end, nominal, law, command):
+def vertical_descent_command(state, end, nominal, mass, law, command):
     """Write the thrust acceleration of the vertical descent to `command` (3,), m/s^2.
 
     `state` (2, 3) is position and velocity, ENU, `end` (3,) the position of the centre of mass at
-    touchdown, m, and `nominal` the nominal vertical velocity, m/s. `law` is a
-    `VerticalDescentParams`.
+    touchdown, m, `nominal` the nominal vertical velocity, m/s, and `mass` the lander's mass, kg.
+    `law` is a `VerticalDescentParams`.
     """
     height = state[0, 2] - end[2]
-    wanted = _limit_descent_speed(state, height, nominal, law)
+    wanted = _limit_descent_speed(state, height, nominal, mass, law)
     tan_tilt = _tan_max_tilt(
         height, law.full_tilt_height if wanted == nominal else law.low_height, law
     )

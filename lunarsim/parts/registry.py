@@ -143,6 +143,7 @@ CONTRACTS: dict[str, Contract] = {
     "terminal-descent": Contract(
         "guidance law of the terminal descent",
         {
+            "vertical": "lunarsim.onboard.guidance.vertical:VerticalDescent",
             "rate-of-descent": "lunarsim.onboard.guidance.rate_of_descent:RateOfDescent",
             "gravity-turn": "lunarsim.onboard.guidance.gravity_turn:GravityTurn",
             "velocity-null": "lunarsim.onboard.guidance.velocity_null:VelocityNull",

@@ -595,14 +595,23 @@ class TerminalDescentTable(SelectedPart):
     click_interval_s: float
     click_m_s: float
     correction_time_s: float
+    damping: float
     descent_time_s: float
     final_speed_m_s: float
+    frequency_rad_s: float
+    full_tilt_height_m: float
     hold_height_speed_m_s: float | None
+    hold_propellant_kg: float
+    low_height_m: float
     max_rate_m_s: float
+    max_tilt_at_touchdown_deg: float
     max_tilt_deg: float
+    min_speed_fraction: float
     overshoot_m: float
+    speed_gain_per_s: float
     stop_height_m: float
     time_constant_s: float
+    tolerated_speed_m_s: float
     velocity_time_s: float
     zero_speed_height_m: float
 
@@ -612,14 +621,23 @@ class TerminalDescentChanges(TypedDict, total=False):
     click_interval_s: float
     click_m_s: float
     correction_time_s: float
+    damping: float
     descent_time_s: float
     final_speed_m_s: float
+    frequency_rad_s: float
+    full_tilt_height_m: float
     hold_height_speed_m_s: float | None
+    hold_propellant_kg: float
+    low_height_m: float
     max_rate_m_s: float
+    max_tilt_at_touchdown_deg: float
     max_tilt_deg: float
+    min_speed_fraction: float
     overshoot_m: float
+    speed_gain_per_s: float
     stop_height_m: float
     time_constant_s: float
+    tolerated_speed_m_s: float
     velocity_time_s: float
     zero_speed_height_m: float
 

@@ -62,13 +62,13 @@ def max_tilt(height, full_tilt_height):
     return np.deg2rad(np.interp(height, [0.0, full_tilt_height], [2.0, 12.0]))
 
 
-def vertical_descent(r, v, touchdown, planned, gravity, lag):
+def vertical_descent(r, v, touchdown, planned, gravity, lag, may_hold=True):
     """Return the thrust acceleration (3,) of the vertical descent, m/s^2.
 
     `touchdown` (3,) is the position at touchdown, m, and `planned` the downward speed, m/s. The
     horizontal loop is a damped oscillator about the touchdown point. A lander that cannot stop its
     drift before touchdown (with half of the pull that the tilt limit allows here) descends more
-    slowly.
+    slowly; its speed reaches zero at the ground if it has the propellant to hold (`may_hold`).
     """
     frequency, damping = 0.6, 1.1
     if lag > 0.0:
@@ -78,7 +78,10 @@ def vertical_descent(r, v, touchdown, planned, gravity, lag):
     if drift > 0.3:
         stopping = (drift - 0.3) / (0.5 * gravity * math.tan(max_tilt(height, 8.0)))
         if planned * stopping > height:
-            speed, full_tilt_height = max(height / stopping, planned / 4.0), 3.0
+            speed, full_tilt_height = (
+                max(height / stopping, 0.0 if may_hold else planned / 4.0),
+                3.0,
+            )
     up = max(gravity + 1.5 * (-speed - v[2]), 0.3 * gravity)
     side = [
         -(frequency**2) * (r[k] - touchdown[k]) - 2.0 * damping * frequency * v[k] for k in (0, 1)

@@ -221,7 +221,7 @@ def compute_command(i, y, time, guidance, law, command, scratch):
     for k in range(3):
         end[k] = site[k]
     end[2] += law.com_height
-    vertical_descent_command(state, end, law.vertical_velocity, law.vertical, command)
+    vertical_descent_command(state, end, law.vertical_velocity, y[13], law.vertical, command)
     return False
 
 

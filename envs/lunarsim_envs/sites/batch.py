@@ -55,7 +55,8 @@ def kernel_guidance(scenario: Scenario, craft: VehicleParams) -> f.GuidanceParam
         np.array([
             max(approach.vertical_altitude, approach.takeover_altitude), approach.end_time_to_go,
         ]),
-        VerticalDescent.for_lag(lag, gravity).params, -approach.vertical_descent_speed,
+        VerticalDescent().for_lag(lag, gravity, lander.dry_mass).params,
+        -approach.vertical_descent_speed,
         np.array([window.last_altitude, window.first_altitude, window.interval]),
         scan_altitudes(scenario), lag, guidance.min_time_to_go, approach.max_tilt,
         lander.thrust_max, lander.com_height, clock.steps,

@@ -93,7 +93,7 @@ class GravityTurn:
         `briefing` is the data known before the flight; `lag` is the total response lag of attitude
         control and engine, s.
         """
-        last = VerticalDescent.for_lag(lag, briefing.surface_gravity)
+        last = VerticalDescent().for_lag(lag, briefing.surface_gravity, briefing.lander.dry_mass)
         return GravityTurnLaw(self, briefing.surface_gravity, last)
 
 

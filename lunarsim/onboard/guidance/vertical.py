@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any, Protocol, runtime_checkable
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from lunarsim.core.guidance import VerticalDescentParams, vertical_descent_command
 from lunarsim.onboard.guidance.contract import PhaseEnd, require_finite_state
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.parts.quantity import check_bounds, hidden, quantity
 from lunarsim.typing import Array
+
+if TYPE_CHECKING:
+    from lunarsim.messages.briefing import Briefing
 
 # Maximum product of the position loop's frequency and the vehicle's lag.
 _MAX_FREQUENCY_LAG = 0.33
@@ -33,12 +37,21 @@ class TerminalDescentLaw(Protocol):
         ...
 
 
+@runtime_checkable
+class SlewLimitedControl(Protocol):
+    """Attitude control with a maximum slew rate, which limits a position loop."""
+
+    def turning_time(self, angle: float) -> float:
+        """Return the duration (s) of a slew by an angle (rad)."""
+        ...
+
+
 @dataclass(frozen=True)
 class VerticalDescent:
     """Vertical descent that holds speed and horizontal position.
 
     It is the law of the shadow EKF paper, section IV.B. If the lander drifts faster than it can
-    stop before touchdown, it descends more slowly until it can.
+    stop before touchdown, it descends more slowly, and holds its height until it can.
 
     Attributes
     ----------
@@ -58,28 +71,90 @@ class VerticalDescent:
     tolerated_speed
         Tolerated horizontal speed, m/s.
     min_speed_fraction
-        Minimum descent speed as a fraction of the nominal one.
+        Minimum descent speed as a fraction of the nominal one, once little propellant is left.
+    hold_propellant
+        Propellant below which the lander no longer holds its height, kg.
+    dry_mass
+        Mass of the lander without propellant, kg.
     """
 
-    gravity: float
-    frequency: float = 0.6
-    damping: float = 1.1
-    speed_gain: float = 1.5
-    max_tilt: float = np.deg2rad(12.0)
-    max_tilt_at_touchdown: float = np.deg2rad(2.0)
-    full_tilt_height: float = 8.0
-    low_height: float = 3.0
-    tolerated_speed: float = 0.3
-    min_speed_fraction: float = 0.25
+    gravity: float = hidden(1.622)
+    frequency: float = quantity(
+        0.6,
+        "rad/s",
+        gt=0,
+        help="natural frequency of the horizontal position loop; it is decreased for a vehicle "
+        "that responds slowly",
+    )
+    damping: float = quantity(1.1, gt=0, help="damping ratio of the horizontal position loop")
+    speed_gain: float = quantity(
+        1.5, "1/s", gt=0, help="vertical acceleration divided by the error of the vertical speed"
+    )
+    max_tilt: float = quantity(
+        12.0, "deg", gt=0, lt=60, help="maximum angle of the thrust from the vertical"
+    )
+    max_tilt_at_touchdown: float = quantity(
+        2.0,
+        "deg",
+        gt=0,
+        lt=60,
+        help="maximum angle of the thrust from the vertical at touchdown, because the lander must "
+        "touch down upright",
+    )
+    full_tilt_height: float = quantity(
+        8.0,
+        "m",
+        gt=0,
+        help="height above touchdown below which the maximum tilt decreases linearly to that at "
+        "touchdown",
+    )
+    low_height: float = quantity(
+        3.0,
+        "m",
+        gt=0,
+        help="the same height while the descent is slowed by horizontal motion",
+    )
+    tolerated_speed: float = quantity(
+        0.3,
+        "m/s",
+        gt=0,
+        help="horizontal speed at which the lander may touch down; above it, the lander descends "
+        "more slowly and holds its height near the terrain",
+    )
+    min_speed_fraction: float = quantity(
+        0.25,
+        gt=0,
+        le=1,
+        help="minimum descent speed divided by the nominal one, if the propellant is below "
+        "hold_propellant_kg",
+    )
+    hold_propellant: float = quantity(
+        10.0,
+        "kg",
+        ge=0,
+        help="remaining propellant below which the lander no longer holds its height",
+    )
+    dry_mass: float = hidden(0.0)
 
-    @classmethod
-    def for_lag(cls, lag: float, gravity: float) -> VerticalDescent:
-        """Return the law for a vehicle with a response lag (s) and gravity (m/s^2).
+    def __post_init__(self) -> None:
+        check_bounds(self, "terminal_descent")
 
+    def build(self, briefing: Briefing, lag: float) -> VerticalDescent:
+        """Return the law for the lander, gravity and total response lag (s) of a flight.
+
+        A control with a limited slew rate adds the time of a slew by the maximum tilt to the lag.
         The product of frequency and lag is at most 0.33, where the loop with lag is still as damped
         as the loop without.
         """
-        return cls(gravity, frequency=min(cls.frequency, _MAX_FREQUENCY_LAG / max(lag, 1e-6)))
+        control = briefing.software.control
+        if isinstance(control, SlewLimitedControl):
+            lag += control.turning_time(self.max_tilt)
+        return self.for_lag(lag, briefing.surface_gravity, briefing.lander.dry_mass)
+
+    def for_lag(self, lag: float, gravity: float, dry_mass: float) -> VerticalDescent:
+        """Return the law for a total lag (s), gravity (m/s^2) and dry mass (kg)."""
+        frequency = min(self.frequency, _MAX_FREQUENCY_LAG / max(lag, 1e-6))
+        return replace(self, frequency=frequency, gravity=gravity, dry_mass=dry_mass)
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2.
@@ -91,7 +166,7 @@ class VerticalDescent:
         command = np.empty(3)
         vertical_descent_command(
             np.array([estimate.position, estimate.velocity]), np.array(end.position),
-            float(end.velocity[2]), self.params, command,
+            float(end.velocity[2]), float(estimate.mass), self.params, command,
         )  # fmt: skip
         return command
 
@@ -99,15 +174,6 @@ class VerticalDescent:
     def params(self) -> VerticalDescentParams:
         """Parameters for compiled functions."""
         return VerticalDescentParams(*(float(getattr(self, f.name)) for f in fields(self)))
-
-
-@runtime_checkable
-class SlewLimitedControl(Protocol):
-    """Attitude control with a maximum slew rate, which limits a position loop."""
-
-    def turning_time(self, angle: float) -> float:
-        """Return the duration (s) of a slew by an angle (rad)."""
-        ...
 
 
 def descent_law(settings: Any, briefing: Any, lag: float) -> TerminalDescentLaw:
@@ -124,10 +190,7 @@ def descent_law(settings: Any, briefing: Any, lag: float) -> TerminalDescentLaw:
     lag
         Total response lag of attitude control and engine, s.
     """
-    if settings is None:
-        control = briefing.software.control
-        if isinstance(control, SlewLimitedControl):
-            lag += control.turning_time(VerticalDescent.max_tilt)
-        return VerticalDescent.for_lag(lag, briefing.surface_gravity)
-    law: TerminalDescentLaw = settings.build(briefing, lag)
+    law: TerminalDescentLaw = (VerticalDescent() if settings is None else settings).build(
+        briefing, lag
+    )
     return law

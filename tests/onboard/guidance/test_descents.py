@@ -13,6 +13,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.integrate import solve_ivp
 
 from lunarsim.errors import InputError
+from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.braking import Braking
 from lunarsim.onboard.guidance.climb import climb
 from lunarsim.onboard.guidance.contract import PhaseEnd
@@ -23,7 +24,7 @@ from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.navigation.estimate import Estimate
 
 G = 1.622
-BRIEFING = SimpleNamespace(surface_gravity=G, nonuniform_gravity=None)
+BRIEFING = SimpleNamespace(surface_gravity=G, nonuniform_gravity=None, lander=Lander())
 GROUND = PhaseEnd(np.zeros(3), np.array([0.0, 0.0, -1.5]))
 
 
@@ -85,7 +86,7 @@ def test_the_turn_goes_over_into_a_straight_descent():
     assert r[2] <= 0.0
     assert v[2] == pytest.approx(-1.5, abs=0.05)
     assert np.hypot(*v[:2]) < 0.05
-    assert law.max_tilt == VerticalDescent(G).max_tilt
+    assert law.max_tilt == VerticalDescent(gravity=G).max_tilt
     # By then upright: at 1.6 m/s the rest of the way is v^2 / (2 g (N - 1)), N that of the start.
     n = gravity_turn_thrust(295.0, np.array([12.0, -5.0, -14.0]), G)
     slow = rows[np.linalg.norm(rows[:, 1], axis=1) > 1.6]
@@ -133,7 +134,7 @@ def test_the_pilot_flies_on_beyond_the_site_the_way_that_he_came():
 def last_laws():
     return [
         RateOfDescent().build(BRIEFING, 0.5), GravityTurn().build(BRIEFING, 0.5),
-        VelocityNull().build(BRIEFING, 0.5), VerticalDescent.for_lag(0.5, G),
+        VelocityNull().build(BRIEFING, 0.5), VerticalDescent().for_lag(0.5, G, 1100.0),
     ]  # fmt: skip
 
 

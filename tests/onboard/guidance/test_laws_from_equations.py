@@ -59,7 +59,7 @@ def test_apollo_guidance_with_lag_to_its_end_without_feedback(lag):
 @pytest.mark.parametrize("lag", [0.2, 1.1])
 def test_vertical_descent(lag):
     rng = np.random.default_rng(4)
-    law = VerticalDescent.for_lag(lag, G)
+    law = VerticalDescent().for_lag(lag, G, 0.0)
     touchdown = PhaseEnd(np.array([1.0, 2.0, 1.6]), np.array([0.0, 0.0, -2.0]))
     slowed = 0
     for _ in range(400):

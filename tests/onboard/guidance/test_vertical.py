@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from lunarsim.models.lander import Lander
 from lunarsim.onboard.control.attitude import ProportionalDerivative
 from lunarsim.onboard.control.phase_plane import PhasePlane
 from lunarsim.onboard.guidance.contract import PhaseEnd
@@ -24,7 +25,7 @@ def estimate(position, velocity, mass=1500.0) -> Estimate:
 
 
 def test_vertical_descent_settles_on_its_speed_above_the_target():
-    law = VerticalDescent(G)
+    law = VerticalDescent(gravity=G)
     r, v = np.array([0.4, -0.2, 10.0]), np.array([0.1, 0.0, -3.0])
     for n in range(450):
         a = law.command(estimate(r, v), GROUND, 0.01 * n) - np.array([0.0, 0.0, G])
@@ -36,19 +37,23 @@ def test_vertical_descent_settles_on_its_speed_above_the_target():
 
 
 def test_vertical_descent_stays_upright_near_the_terrain():
-    law = VerticalDescent(G)
+    law = VerticalDescent(gravity=G)
     command = law.command(estimate([5.0, 0.0, 0.1], [0.0, 0.0, -2.0]), GROUND, 0.0)
     lean = np.arctan2(np.hypot(command[0], command[1]), command[2])
     assert lean <= law.max_tilt_at_touchdown + 0.2 * (law.max_tilt - law.max_tilt_at_touchdown)
 
 
-def descend(law: VerticalDescent, sideways: float, height: float) -> tuple[float, float]:
+def descend(
+    law: VerticalDescent, sideways: float, height: float, mass=1500.0
+) -> tuple[float, float]:
     """Return the sideways and the downward speed at the ground, m/s."""
     r, v = np.array([0.0, 0.0, height]), np.array([sideways, 0.0, -2.0])
     for n in range(6000):
         if r[2] <= 0.0:
             break
-        v = v + 0.01 * (law.command(estimate(r, v), GROUND, 0.01 * n) - np.array([0.0, 0.0, G]))
+        v = v + 0.01 * (
+            law.command(estimate(r, v, mass), GROUND, 0.01 * n) - np.array([0.0, 0.0, G])
+        )
         r = r + 0.01 * v
     assert r[2] <= 0.0
     return abs(float(v[0])), -float(v[2])
@@ -56,13 +61,13 @@ def descend(law: VerticalDescent, sideways: float, height: float) -> tuple[float
 
 @pytest.mark.parametrize("sideways", [0.2, 1.0, 2.0, 3.0])
 def test_a_lander_that_slips_comes_down_more_slowly_until_it_can_stop(sideways):
-    slip, down = descend(VerticalDescent(G), sideways, 10.0)
+    slip, down = descend(VerticalDescent(gravity=G), sideways, 10.0)
     assert slip < 0.5
     assert 0.4 < down < 2.1
 
 
 def test_one_that_can_stop_comes_down_as_planned():
-    law = VerticalDescent(G)
+    law = VerticalDescent(gravity=G)
     fast = law.command(estimate([0.0, 0.0, 10.0], [2.0, 0.0, -2.0]), GROUND, 0.0)
     high = law.command(estimate([0.0, 0.0, 40.0], [1.0, 0.0, -2.0]), GROUND, 0.0)
     still = law.command(estimate([0.0, 0.0, 10.0], [0.2, 0.0, -2.0]), GROUND, 0.0)
@@ -71,23 +76,47 @@ def test_one_that_can_stop_comes_down_as_planned():
     assert fast[2] > G + 0.1
 
 
-def test_a_lander_below_where_the_terrain_should_be_still_goes_down():
-    law = VerticalDescent(G)
-    command = law.command(estimate([0.0, 0.0, -1.0], [2.0, 0.0, 0.0]), GROUND, 0.0)
-    assert command[2] < G
+@pytest.mark.parametrize("height", [0.5, -1.0])
+def test_a_lander_with_a_fast_drift_near_the_ground_holds_its_height(height):
+    """It goes down again once it is slow, also below where the terrain should be."""
+    law = VerticalDescent(gravity=G)
+    fast = law.command(estimate([0.0, 0.0, height], [2.0, 0.0, 0.0]), GROUND, 0.0)
+    slow = law.command(estimate([0.0, 0.0, height], [0.2, 0.0, 0.0]), GROUND, 0.0)
+    assert fast[2] == pytest.approx(G, abs=0.1)
+    assert slow[2] == pytest.approx(G - 1.5 * 2.0) or slow[2] == pytest.approx(0.3 * G)
+
+
+def test_a_lander_without_propellant_to_hold_goes_down_at_a_quarter_of_the_speed():
+    law = VerticalDescent(gravity=G, dry_mass=1100.0)
+    state = [0.0, 0.0, 0.0], [2.0, 0.0, 0.0]
+    holds = law.command(estimate(*state, mass=1110.1), GROUND, 0.0)
+    descends = law.command(estimate(*state, mass=1109.9), GROUND, 0.0)
+    assert holds[2] == pytest.approx(G)
+    assert descends[2] == pytest.approx(G - 1.5 * 0.5)
+
+
+def test_a_strong_drift_close_to_the_ground_is_gone_at_touchdown():
+    """With 2 m/s at 1.5 m the lander that cannot hold touches down too fast sideways."""
+    law = VerticalDescent(gravity=G, dry_mass=1100.0)
+    slip, _ = descend(law, 2.0, 1.5)
+    dragged, _ = descend(law, 2.0, 1.5, mass=1105.0)
+    assert slip <= 0.35
+    assert dragged > 0.6
 
 
 @pytest.mark.parametrize(("sideways", "slower"), [(1.1, False), (1.25, True)])
 def test_it_waits_where_half_of_what_it_can_lean_would_not_do(sideways, slower):
     """From 10 m at 2 m/s half of 1.622 tan 12 deg takes out 0.86 m/s, and 0.3 may be left."""
-    command = VerticalDescent(G).command(
+    command = VerticalDescent(gravity=G).command(
         estimate([0.0, 0.0, 10.0], [sideways, 0.0, -2.0]), GROUND, 0.0
     )
     assert (command[2] > G + 0.01) == slower
 
 
 def test_the_engine_never_idles():
-    command = VerticalDescent(G).command(estimate([0.0, 0.0, 10.0], [0.0, 0.0, 9.0]), GROUND, 0.0)
+    command = VerticalDescent(gravity=G).command(
+        estimate([0.0, 0.0, 10.0], [0.0, 0.0, 9.0]), GROUND, 0.0
+    )
     assert command[2] == pytest.approx(0.3 * G)
 
 
@@ -95,7 +124,9 @@ def test_the_position_loop_leaves_a_slow_attitude_time_to_turn():
     """Frequency times all of the lag is 0.33; 12 deg at 5 deg/s are 2.4 s of it."""
 
     def frequency(control, lag):
-        briefing = SimpleNamespace(software=SimpleNamespace(control=control), surface_gravity=G)
+        briefing = SimpleNamespace(
+            software=SimpleNamespace(control=control), surface_gravity=G, lander=Lander()
+        )
         return descent_law(None, briefing, lag).frequency
 
     assert frequency(ProportionalDerivative(), 0.45) == 0.6
@@ -106,14 +137,15 @@ def test_the_position_loop_leaves_a_slow_attitude_time_to_turn():
 
 def test_commands_are_those_of_the_reference():
     rng = np.random.default_rng(1)
-    law, end, slowed = VerticalDescent.for_lag(0.55, G), np.array([0.0, 0.0, 1.6]), 0
-    for _ in range(300):
+    law, end, slowed = VerticalDescent().for_lag(0.55, G, 1100.0), np.array([0.0, 0.0, 1.6]), 0
+    for n in range(300):
+        mass = (1500.0, 1105.0)[n % 2]
         position, velocity = rng.normal(0, 2, 3), rng.normal(0, 1.0, 3) - [0.0, 0.0, 2.0]
         position[2] = rng.uniform(0.0, 14.0)
         command = law.command(
-            estimate(position, velocity), PhaseEnd(end, np.array([0.0, 0.0, -2.0])), 0.0
+            estimate(position, velocity, mass), PhaseEnd(end, np.array([0.0, 0.0, -2.0])), 0.0
         )
-        expected = vertical_descent(position, velocity, end, 2.0, G, 0.55)
+        expected = vertical_descent(position, velocity, end, 2.0, G, 0.55, mass > 1200.0)
         assert command == pytest.approx(expected, rel=1e-12, abs=1e-12)
         slowed += command[2] != pytest.approx(G + law.speed_gain * (-2.0 - velocity[2]))
     assert slowed > 10
