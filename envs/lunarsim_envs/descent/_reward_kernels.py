@@ -1,5 +1,5 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
-"""Compiled reward terms of descents, and the velocity from which shaping is computed."""
+"""Compiled reward terms of descents, and the reference velocity of the shaping."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Weights(NamedTuple):
 
 
 class RewardParams(NamedTuple):
-    """Weights of the reward, and properties of start and lander that it depends on, SI.
+    """Reward weights, and properties of start and lander that rewards need, SI.
 
     `start_distance` (from the target) and `start_speed` are those of the planned start,
     `deceleration` is the maximum one with full tanks, and `limits` (n,) are the limits of motion at
@@ -140,11 +140,11 @@ def shaping_potentials(y, target, params, out):
 def reward_terms(
     moved, y, target, ended, failed, touchdown_values, params, mass, potential, terms
 ):  # fmt: skip
-    """Write the reward terms of the last step of the landers of `moved` (n,) to `terms`.
+    """Write the reward terms of the last step of some landers to `terms` (6, n).
 
-    `terms` (6, n) has a row for each of `TERMS`; values of other landers are not written. `mass`
-    and `potential` (n,) are those before the step, and are set to those after it. `y`, `target`,
-    `ended`, `failed` and `touchdown_values` are attributes of `DescentBatch`.
+    `moved` (n,) marks these landers; values of others are not written. `terms` has a row for each
+    of `TERMS`. `mass` and `potential` (n,) are those before the step, and are set to those after
+    it. `y`, `target`, `ended`, `failed` and `touchdown_values` are attributes of `DescentBatch`.
     """
     w = params.weights
     for i in range(len(y)):

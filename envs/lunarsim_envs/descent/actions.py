@@ -80,5 +80,5 @@ class Actions:
 
 
 def _limited(values: Array) -> Array:
-    """Return values limited to -1 to 1; `numpy.clip` takes twice the time for few values."""
+    """Return values limited to -1 to 1, for few values faster than `numpy.clip`."""
     return np.minimum(np.maximum(values, -1.0), 1.0)
