@@ -19,7 +19,7 @@ from numba.core.registry import CPUDispatcher
 
 from lunarsim import forks
 from lunarsim._kernel_cache import enable_cache
-from lunarsim._work_partition import PartitionedKernel
+from lunarsim._work_partition import MIN_THREADED_WORK_US, PartitionedKernel
 
 # Idle OpenMP threads sleep instead of spinning until the next kernel; spinning threads use a fifth
 # of the processor time of a flight with cameras. OpenMP reads this at the first parallel kernel.
@@ -82,7 +82,7 @@ def _without_warnings(function: F) -> F:
 @overload
 def kernel(
     *, shared: Literal[True], allocates: bool = True
-) -> Callable[[Callable[..., Any]], Callable[..., None]]: ...
+) -> Callable[[Callable[..., Any]], PartitionedKernel]: ...
 
 
 @overload
@@ -166,20 +166,15 @@ def kernel(
 prange = numba.prange
 
 
-# Minimum work for which starting threads pays off, microseconds.
-_MIN_THREADED_WORK_US = 256
-
-
 @contextmanager
 def threads_for(microseconds: float) -> Iterator[None]:
     """Run parallel kernels in a `with` block on one thread if they have little work.
 
-    Waking threads for a few rays takes longer than computing them; on a busy machine it takes a
-    thousand times longer. `microseconds` is the approximate duration of the work on one thread; a
-    ray, or 1000 multiply-adds, takes 1.
+    `microseconds` is the approximate duration of the work on one thread. Kernels on Python threads
+    (`shared`) have `PartitionedKernel.run_loop` for this.
     """
     before = numba.get_num_threads()
-    if microseconds >= _MIN_THREADED_WORK_US or before == 1:
+    if microseconds >= MIN_THREADED_WORK_US or before == 1:
         yield
         return
     numba.set_num_threads(1)

@@ -16,6 +16,9 @@ import numba
 from lunarsim._daemon_threads import DaemonThreads
 from lunarsim.errors import NoThreadError
 
+# Minimum work for which starting threads pays off, microseconds.
+MIN_THREADED_WORK_US = 256
+
 # One thread less than Numba's limit, because the calling thread works too.
 _threads = DaemonThreads(max(int(numba.config.NUMBA_NUM_THREADS) - 1, 1), "lunarsim-share")
 
@@ -45,13 +48,12 @@ class PartitionedKernel:
         # The first call compiles, so further threads would only wait for it.
         shares = numba.get_num_threads() if self._called else 1
         if shares == 1:
-            self.compiled((0, 1), *args)
-            self._called = True
+            self._run_alone(*args)
             return
         try:
             others = [_threads.submit(self.compiled, (n, shares), *args) for n in range(1, shares)]
         except NoThreadError:
-            self.compiled((0, 1), *args)
+            self._run_alone(*args)
             return
         try:
             self.compiled((0, shares), *args)
@@ -59,3 +61,20 @@ class PartitionedKernel:
             wait(others)
         for other in others:
             other.result()
+
+    def run_loop(self, count: int, microseconds: float, *args: Any) -> None:
+        """Run the kernel, on the calling thread only if its loop is short.
+
+        The loop has `count` iterations of about `microseconds` each. Waking threads for a few rays
+        takes longer than computing them; on a busy machine it takes a thousand times longer. A ray,
+        or 1000 multiply-adds, takes 1 microsecond.
+        """
+        if count == 1 or count * microseconds < MIN_THREADED_WORK_US:
+            self._run_alone(*args)
+        else:
+            self(*args)
+
+    def _run_alone(self, *args: Any) -> None:
+        """Run the kernel on the calling thread."""
+        self.compiled((0, 1), *args)
+        self._called = True

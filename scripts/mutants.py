@@ -166,6 +166,10 @@ _TESTS: dict[str, tuple[str, ...]] = {
         "tests/kernels/envs/test_descent_kernels.py",
         "tests/envs/test_descent_kernels.py",
     ),
+    "envs/lunarsim_envs/descent/_reward_kernels.py": (
+        "tests/kernels/envs/test_reward_kernels.py",
+        "tests/envs/test_potential.py",
+    ),
     "envs/lunarsim_envs/sites/_beyond_kernels.py": (
         "tests/kernels/envs/test_site_choice.py",
         "tests/envs/test_site_choice.py",

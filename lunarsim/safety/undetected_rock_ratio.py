@@ -28,7 +28,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
 from lunarsim.rocks.size_distribution import golombek_number
 from lunarsim.safety._undetected_rock_kernels import mean_ratios
@@ -184,12 +183,12 @@ class UndetectedRockRatio:
         """
         flat = ratios.reshape(len(ratios), -1)
         out = np.empty(flat.shape[1])
-        with threads_for(0.05 * out.size):
-            mean_ratios(
-                _flatten_heights(height, self.shape), flat, np.asarray(self.diameter, float),
-                _rock_number(self.diameter, self.cover), _MIN_HEIGHT_M, self.height_ratio,
-                _LOG_TABLE[0], _LOG_TABLE[1] - _LOG_TABLE[0], _log_rock_number(self.cover), out,
-            )  # fmt: skip
+        mean_ratios.run_loop(
+            out.size, 0.05,
+            _flatten_heights(height, self.shape), flat, np.asarray(self.diameter, float),
+            _rock_number(self.diameter, self.cover), _MIN_HEIGHT_M, self.height_ratio,
+            _LOG_TABLE[0], _LOG_TABLE[1] - _LOG_TABLE[0], _log_rock_number(self.cover), out,
+        )  # fmt: skip
         return out.reshape(self.shape)
 
     @cached_property

@@ -89,6 +89,19 @@ def test_shares_are_handed_out_as_many_as_there_are_threads(threads):
         assert len(seen) == most  # the others have had their turn, none runs on
 
 
+def test_a_short_loop_is_done_by_the_caller_alone(threads):
+    threads(most := numba.config.NUMBA_NUM_THREADS)
+    shares = []
+    spy = PartitionedKernel(shares.append)
+    for count, microseconds, own in (
+        (1000, 1.0, 1),  # the first call compiles, alone
+        (1, 1e6, 1), (1000, 0.25, 1), (1000, 0.26, most), (2, 1e6, most),
+    ):  # fmt: skip
+        shares.clear()
+        spy.run_loop(count, microseconds)
+        assert sorted(shares) == [(n, own) for n in range(own)]
+
+
 def _child(queue):
     queue.put(float(_squared(np.arange(100.0)).sum()))
 

@@ -90,6 +90,8 @@ class GuidanceLawAgent:
         self._software: FlightSoftware = scenario.software()
         self._approach = self._software.approach
         self._lander = scenario.vehicle.make()
+        self._end = self._approach.end(np.zeros(3), self._lander)
+        self._touchdown_end = self._approach.touchdown_end(np.zeros(3), self._lander)
         self._has_started = False
 
     def begin(self, rng: np.random.Generator) -> None:
@@ -130,12 +132,10 @@ class GuidanceLawAgent:
     def _estimate(self, observation: Array, time: float) -> Estimate:
         """Convert an observation (size,) at `time`, s, to a state estimate."""
         places = self._descents.shown.places
-        seen = {name: observation[places[name]].astype(np.float64) for name in _NEEDED}
-        mass = self._lander.dry_mass + float(seen["propellant"][0])
-        return Estimate(
-            time, seen["position"], seen["velocity"], seen["attitude"], seen["rate"], mass,
-            np.zeros((9, 9)),
-        )  # fmt: skip
+        values = observation.astype(np.float64)
+        position, velocity, attitude, rate, propellant = (values[places[name]] for name in _NEEDED)
+        mass = self._lander.dry_mass + float(propellant[0])
+        return Estimate(time, position, velocity, attitude, rate, mass, np.zeros((9, 9)))
 
     def act(self, observation: Any, info: dict[str, Any]) -> NDArray[np.float32]:
         """Return the action (3,) closest to the acceleration that the law commands.
@@ -150,11 +150,9 @@ class GuidanceLawAgent:
         height = float(estimate.position[2]) - self._lander.com_height
         self._vertical |= height <= self._approach.vertical_altitude or left <= 0.0
         if self._vertical:
-            end = self._approach.touchdown_end(np.zeros(3), self._lander)
-            wanted = self._down.command(estimate, end, self._time)
+            wanted = self._down.command(estimate, self._touchdown_end, self._time)
         else:
-            end = self._approach.end(np.zeros(3), self._lander)
-            wanted = self._law.command(estimate, end, self._time, left)
+            wanted = self._law.command(estimate, self._end, self._time, left)
             planned = self._planner.arrival if self._planner else None
             if planned is not None:
                 self._arrival = planned

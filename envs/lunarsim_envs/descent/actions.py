@@ -66,14 +66,19 @@ class Actions:
                 f"{given.shape} and type {given.dtype}."
             )
         wide = given.astype(np.float64).reshape(-1, size)
-        outside = ~(np.abs(wide) <= 1.0 + _ROUNDING)
-        if outside.any():
-            first = np.argwhere(outside.reshape(shape))[0].tolist()
+        inside = np.abs(wide) <= 1.0 + _ROUNDING
+        if not inside.all():
+            first = np.argwhere(~inside.reshape(shape))[0].tolist()
             value = given[tuple(first)].item()
             raise ValueError(f"action{first}: must be between -1 and 1, got {value:.7g}.")
-        return np.asarray(self.offset + self.scale * np.clip(wide, -1.0, 1.0))
+        return np.asarray(self.offset + self.scale * _limited(wide))
 
     def action(self, physical: ArrayLike) -> NDArray[np.float32]:
         """Return the action from -1 to 1 closest to values in physical units (..., size)."""
         scaled = (np.asarray(physical, dtype=np.float64) - self.offset) / self.scale
-        return np.asarray(np.clip(scaled, -1.0, 1.0), dtype=np.float32)
+        return _limited(scaled).astype(np.float32)
+
+
+def _limited(values: Array) -> Array:
+    """Return values limited to -1 to 1, for few values faster than `numpy.clip`."""
+    return np.minimum(np.maximum(values, -1.0), 1.0)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim._jit import threads_for
 from lunarsim.core.touchdown import VALUES
 from lunarsim.errors import InputError
 from lunarsim.frames import attitude_from_thrust
@@ -275,19 +274,19 @@ class DescentBatch:
         Start, target and world of each flight are random.
         """
         w = self.worlds
-        with threads_for(_STEP * self.count):
-            k.begin(
-                mask, self._keys, self._flight_counts, self.y, self._rate, self.target, self.world,
-                self.time, self.ended, self.starts, self.target_areas, self.world_ranges,
-                self._upright, self._weight, w.rock_free_terrains, w.rock_free_frame,
+        k.begin.run_loop(
+            self.count, _STEP,
+            mask, self._keys, self._flight_counts, self.y, self._rate, self.target, self.world,
+            self.time, self.ended, self.starts, self.target_areas, self.world_ranges,
+            self._upright, self._weight, w.rock_free_terrains, w.rock_free_frame,
+        )  # fmt: skip
+        if self.craft.domain_randomization is not None:
+            k.randomize.run_loop(
+                self.count, _STEP,
+                mask, self._keys, self._flight_counts, self.craft.domain_randomization.ranges,
+                STANDARD_GRAVITY, self._true_params, self.randomized, self.params, self.y,
             )  # fmt: skip
-            if self.craft.domain_randomization is not None:
-                k.randomize(
-                    mask, self._keys, self._flight_counts, self.craft.domain_randomization.ranges,
-                    STANDARD_GRAVITY, self._true_params, self.randomized, self.params,
-                    self.y,
-                )  # fmt: skip
-                self._add_deviations(mask)
+            self._add_deviations(mask)
         self.failed[mask] = 0
         self.touchdown_values[mask] = np.nan
 
@@ -308,8 +307,7 @@ class DescentBatch:
         Landers outside the mask get 0.
         """
         found = np.zeros((self.count, size))
-        with threads_for(0.02 * self.count * size):
-            k.sample_normals(mask, self._keys, self._counts, found)
+        k.sample_normals.run_loop(self.count, 0.02 * size, mask, self._keys, self._counts, found)
         return found
 
     def move(self, actions: Array) -> None:
@@ -321,11 +319,11 @@ class DescentBatch:
             Thrust accelerations (n, 3), ENU, m/s^2, or thrust and torques (n, 4), N and N m.
         """
         step = self.craft.dynamics.step
-        with threads_for(_STEP * self.count * self.steps):
-            k.advance(
-                self.y, self._rate, actions, self.guided, self.steps, step, self.craft.time_limit,
-                min(SIMD_BATCH, self.count), self._vehicle, self._terrains, self._flights,
-            )  # fmt: skip
+        k.advance.run_loop(
+            self.count, _STEP * self.steps,
+            self.y, self._rate, actions, self.guided, self.steps, step, self.craft.time_limit,
+            min(SIMD_BATCH, self.count), self._vehicle, self._terrains, self._flights,
+        )  # fmt: skip
 
     def stop(self, mask: BoolArray) -> None:
         """End the flights of `mask` (n,) that are still flying, as if by the time limit."""

@@ -159,4 +159,6 @@ class ObservationLayout:
             check_shape(f"observation {part.name!r}", value, (lanes.count, part.size), PER_LANDER)
         self._checked = True
         observation = np.concatenate(each, axis=1).astype(np.float32)
-        return np.clip(observation, self._low, self._high, out=observation)
+        # Twice as fast as `numpy.clip` for one lander.
+        np.maximum(observation, self._low, out=observation)
+        return np.minimum(observation, self._high, out=observation)

@@ -6,22 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lunarsim.core.touchdown import LIMITS, VALUES
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.rewards import DescentReward
 from lunarsim.typing import Array, BoolArray
-from lunarsim_envs.descent.batch import FLYING, LATE, DescentBatch
-from lunarsim_envs.descent.potential import velocity_deviation as off_wanted
+from lunarsim_envs.descent import _reward_kernels as k
+from lunarsim_envs.descent.batch import DescentBatch
 
-# Maximum miss distance in the reward, m.
-MAX_MISS_M = 50.0
-# Maximum severity of a crash (distance plus speed, each over that of the planned start), and
-# maximum excess over a limit (natural logarithm of the ratio).
-MAX_SEVERITY, MAX_EXCESS = 2.0, 3.0
-# Limits of motion at touchdown, and the columns of their values.
-_LIMITS = [limit for limit in LIMITS if not limit.is_terrain]
-_LIMITED = [VALUES.index(limit.value) for limit in _LIMITS]
+MAX_MISS_M = k.MAX_MISS_M
 
 
 @dataclass(frozen=True)
@@ -58,8 +50,8 @@ class Rewards:
     before it. The potential is 0 after a flight has ended; the discounted sum over an episode is
     therefore minus the initial potential, which does not change the ranking of policies (Ng, Harada
     and Russell, "Policy invariance under reward transformations", ICML 1999). The potential falls
-    with the deviation from a reference velocity (`potential.velocity_deviation`). A flight that
-    reaches the time limit has not ended, so its last potential counts.
+    with the deviation from a reference velocity (`_reward_kernels.reference_velocity`). A flight
+    that reaches the time limit has not ended, so its last potential counts.
 
     Parameters
     ----------
@@ -69,41 +61,30 @@ class Rewards:
         Batch of landers.
     """
 
-    names = ("touchdown", "propellant", "miss", "excess", "severity", "shaping")
+    names = k.TERMS
 
     def __init__(self, weights: DescentWeights, lanes: DescentBatch) -> None:
-        weights.check(lanes.craft.dynamics.lander.propellant_mass)
+        dynamics, start = lanes.craft.dynamics, lanes.craft.start
+        lander = dynamics.lander
+        weights.check(lander.propellant_mass)
         self.weights, self.lanes = weights, lanes
-        start = lanes.craft.start
-        self._far = max(float(np.linalg.norm(start[:3])), 1.0)
-        self._fast = max(float(np.linalg.norm(start[3:6])), 1.0)
-        self._mass = np.zeros(lanes.count)
-        self._potential = np.zeros(lanes.count)
-
-    def _relative_distance_and_speed(self) -> Array:
-        """Return distance from the target plus speed, each relative to the start (n,)."""
-        y = self.lanes.y
-        away = np.linalg.norm(y[:, :3] - self.lanes.target, axis=1) / self._far
-        fast = np.linalg.norm(y[:, 3:6], axis=1) / self._fast
-        return np.asarray(away + fast)
+        self.params = k.RewardParams(
+            k.Weights(**{name: float(weight) for name, weight in vars(weights).items()}),
+            max(float(np.linalg.norm(start[:3])), 1.0),
+            max(float(np.linalg.norm(start[3:6])), 1.0),
+            float(lander.com_height),
+            float(lander.thrust_max / lander.wet_mass - dynamics.gravity),
+            float(lander.vertical_speed_limit),
+            float(lander.horizontal_speed_limit),
+            np.array([getattr(lander, limit.limit) for limit in k.MOTION_LIMITS]),
+        )
+        self._mass, self._potential = np.zeros((2, lanes.count))
 
     def potential(self) -> Array:
         """Return the shaping potential of the current state of every lander (n,)."""
-        return -self.weights.shaping * off_wanted(self.lanes)
-
-    def _excess(self) -> Array:
-        """Return by how much touchdowns exceed their limits (n,).
-
-        It is the sum over the limits of motion (speeds, tilt, rates) of log(value / limit), or 0
-        within the limit. Each logarithm is at most `MAX_EXCESS`; without a touchdown (off the
-        map) each one is `MAX_EXCESS`.
-        """
-        vehicle = self.lanes.craft.dynamics.lander
-        limits = np.array([getattr(vehicle, limit.limit) for limit in _LIMITS])
-        times = np.abs(self.lanes.touchdown_values[:, _LIMITED]) / limits
-        folds = np.log(np.maximum(times, 1.0))
-        folds = np.where(np.isfinite(folds), np.minimum(folds, MAX_EXCESS), MAX_EXCESS)
-        return np.asarray(folds.sum(axis=1))
+        out = np.empty(self.lanes.count)
+        k.shaping_potentials(self.lanes.y, self.lanes.target, self.params, out)
+        return out
 
     def begin(self, mask: BoolArray) -> None:
         """Store mass and potential of the flights of `mask` (n,), which have just started."""
@@ -115,30 +96,9 @@ class Rewards:
 
         They are 0 for landers that were not flying before the step (`moved` (n,) is false).
         """
-        w, lanes = self.weights, self.lanes
-        over = (lanes.ended != FLYING) & (lanes.ended != LATE)
-        after = np.where(over, 0.0, self.potential())
-        rewards = {
-            "propellant": -w.propellant * (self._mass - lanes.y[:, 13]),
-            "shaping": w.discount * after - self._potential,
-        }
-        if np.any(over):
-            rewards |= self._touchdown_terms(over)
-        self._mass = np.where(moved, lanes.y[:, 13], self._mass)
-        self._potential = np.where(moved, after, self._potential)
-        nothing = np.zeros(lanes.count)
-        return {name: np.where(moved, rewards.get(name, nothing), 0.0) for name in self.names}
-
-    def _touchdown_terms(self, over: BoolArray) -> dict[str, Array]:
-        """Return the touchdown, miss, excess and severity terms of each flight (n,).
-
-        `over` (n,) marks flights that have ended by touchdown or off the map; others get 0.
-        """
-        w, safe = self.weights, self.lanes.safe
-        severity = 0.5 * w.severity * np.minimum(self._relative_distance_and_speed(), MAX_SEVERITY)
-        return {
-            "touchdown": np.where(over, np.where(safe, w.safe, w.crash), 0.0),
-            "miss": np.where(safe, -w.miss * np.minimum(self.lanes.miss, MAX_MISS_M), 0.0),
-            "excess": np.where(over & ~safe, -w.excess * self._excess(), 0.0),
-            "severity": np.where(over & ~safe, -severity, 0.0),
-        }
+        lanes, terms = self.lanes, np.zeros((len(self.names), self.lanes.count))
+        k.reward_terms(
+            moved, lanes.y, lanes.target, lanes.ended, lanes.failed, lanes.touchdown_values,
+            self.params, self._mass, self._potential, terms,
+        )  # fmt: skip
+        return dict(zip(self.names, terms, strict=True))

@@ -6,7 +6,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from lunarsim._jit import threads_for
 from lunarsim.core.feedback import compile_formula, follow_path
 from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.divert_cost import divert_params
@@ -165,8 +164,8 @@ class SiteDescentBatch(DescentBatch):
     def begin(self, mask: BoolArray) -> None:
         """Start new flights of the landers of `mask` (n,); fly to their first decisions."""
         super().begin(mask)
-        self._run(
-            f.begin, 100.0 * self.count, mask, self._keys, self._flight_counts, self.y, self.target,
+        f.begin.run_loop(
+            self.count, 100.0, mask, self._keys, self._flight_counts, self.y, self.target,
             self.drift_sigma, self._control, self.craft.heading, self.guidance, self.law,
         )  # fmt: skip
         maps = self.maps
@@ -196,8 +195,8 @@ class SiteDescentBatch(DescentBatch):
         """
         mask = mask & (self.ended == FLYING)
         asked = np.full(self.count, np.nan) if time_scales is None else time_scales
-        self._run(
-            f.decide, 20.0 * self.count, mask, self.time, self.y, sites, asked, self.guidance,
+        f.decide.run_loop(
+            self.count, 20.0, mask, self.time, self.y, sites, asked, self.guidance,
             self.law, self.refused, self.time_scale_refused,
         )  # fmt: skip
         self.mapped = np.zeros(self.count, np.bool_)
@@ -209,8 +208,8 @@ class SiteDescentBatch(DescentBatch):
         Then evaluate the candidate sites of the landers of `mask` (n,) that still fly.
         """
         while True:
-            self._run(
-                f.fly, 10.0 * _CYCLE * self.count, self.y, self._rate, min(SIMD_BATCH, self.count),
+            f.fly.run_loop(
+                self.count, 10.0 * _CYCLE, self.y, self._rate, min(SIMD_BATCH, self.count),
                 self.craft.dynamics.step, self.craft.time_limit, self._vehicle, self._terrains,
                 self._flights, self.guidance, self.law,
             )  # fmt: skip
@@ -221,27 +220,16 @@ class SiteDescentBatch(DescentBatch):
             self.mapped |= due
         asked = mask & (self.ended == FLYING)
         if asked.any():
-            self._run(
-                choice.select_candidates, _MAP * self.count, asked, self.y, self.time,
+            choice.select_candidates.run_loop(
+                self.count, _MAP, asked, self.y, self.time,
                 self.guidance, self.law, self.maps, self.decisions.candidates,
                 self.decisions.separation, self.levels, self.candidates,
             )  # fmt: skip
 
-    def _run(self, kernel: Any, microseconds: float, *arguments: Any) -> None:
-        """Run a kernel over all landers in parallel threads; one lander uses no threads.
-
-        `microseconds` is the estimated computing time; `arguments` are the arguments of the kernel.
-        """
-        if self.count == 1:
-            kernel.compiled((0, 1), *arguments)
-            return
-        with threads_for(microseconds):
-            kernel(*arguments)
-
     def scan(self, due: BoolArray) -> None:
         """Take a LiDAR scan for the landers of `due` (n,) and update their hazard maps."""
-        self._run(
-            m.scan, _MAP * self.count, due, self._keys, self._flight_counts, self.y, self.time,
+        m.scan.run_loop(
+            self.count, _MAP, due, self._keys, self._flight_counts, self.y, self.time,
             self.world, self.guidance, self.maps, self.pool.layers, self.errors, self.view,
         )  # fmt: skip
 

@@ -129,8 +129,8 @@ class SparseDescentBatch(SiteDescentBatch):
     def scan(self, due: BoolArray) -> None:
         """Take a scan for the landers of `due` (n,) and divert to the best lattice site."""
         side = int(2.0 * _REACH / self.maps.posting) + 1
-        self._run(
-            k.scan_and_divert, 200.0 * self.count, due, self._keys, self._flight_counts, self.y,
+        k.scan_and_divert.run_loop(
+            self.count, 200.0, due, self._keys, self._flight_counts, self.y,
             self.time, self.world, self.target, self.guidance, self.law, side, _EVERY,
             self.maps.posting, self.pool.layers, self.errors, self.view, self.site_p_safe,
         )  # fmt: skip

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
-from lunarsim._jit import threads_for
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.active_perception import _information_kernels as kernels
 from lunarsim.onboard.active_perception.sensor_coverage import SensorCoverageModel
@@ -267,15 +266,15 @@ class InformationPlanner:
         out = np.empty((len(plans), 2))
         vehicle = vehicle_params(p.estimate, p.lander, p.gravity, p.limits)
         site = np.array([*p.site, p.site[2] + p.com_height, p.min_altitude])
-        with threads_for(10.0 * len(plans)):
-            kernels.score_paths(
-                np.array([p.estimate.position, p.estimate.velocity], dtype=np.float64),
-                np.asarray(p.end.position, dtype=np.float64),
-                np.asarray(p.end.velocity, dtype=np.float64), np.ascontiguousarray(plans),
-                self._limit_table, self._observation_table, np.array(APOLLO.powers), vehicle,
-                float(np.tan(self.max_final_tilt)), site, np.ascontiguousarray(p.nodes),
-                *self._tables, self._sensor_params, self._single_altitudes(p.lowest_altitude), out,
-            )  # fmt: skip
+        kernels.score_paths.run_loop(
+            len(plans), 10.0,
+            np.array([p.estimate.position, p.estimate.velocity], dtype=np.float64),
+            np.asarray(p.end.position, dtype=np.float64),
+            np.asarray(p.end.velocity, dtype=np.float64), np.ascontiguousarray(plans),
+            self._limit_table, self._observation_table, np.array(APOLLO.powers), vehicle,
+            float(np.tan(self.max_final_tilt)), site, np.ascontiguousarray(p.nodes),
+            *self._tables, self._sensor_params, self._single_altitudes(p.lowest_altitude), out,
+        )  # fmt: skip
         return out
 
     def _single_altitudes(self, lowest_altitude: float) -> Array:

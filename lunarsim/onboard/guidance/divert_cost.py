@@ -7,7 +7,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from lunarsim._jit import threads_for
 from lunarsim.core import divert as core
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
@@ -118,12 +117,10 @@ def divert_cost(
     law, mass = divert_params(shape, end, lander, gravity, limits or PathLimits()), estimate.mass
     found = np.empty((count, 4))
     if times is None:
-        with threads_for(1.0 * count):
-            core.divert_costs(state, mass, targets, shortest, law, found)
+        core.divert_costs.run_loop(count, 1.0, state, mass, targets, shortest, law, found)
     else:
         given = np.where(times >= shortest, times, np.nan)
-        with threads_for(0.1 * count):
-            core.costs_at_times(state, mass, targets, given, law, found)
+        core.costs_at_times.run_loop(count, 0.1, state, mass, targets, given, law, found)
     return DivertCost(found[:, 0], found[:, 1], found[:, 2], np.arctan(found[:, 3]))
 
 

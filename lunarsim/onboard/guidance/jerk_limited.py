@@ -8,7 +8,6 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike
 
-from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
 from lunarsim.onboard.guidance import _jerk_kernels as k
 from lunarsim.onboard.guidance.contract import PhaseEnd
@@ -89,18 +88,19 @@ def min_times_to_go(
             raise InputError(f"guidance.{name}", value, "must be positive and finite")
     targets = np.ascontiguousarray(np.atleast_2d(ends.position), dtype=np.float64)
     out = np.empty(len(targets))
-    with threads_for(0.1 * len(targets)):
-        k.min_times_to_go(
-            np.ascontiguousarray(position, dtype=np.float64),
-            np.ascontiguousarray(velocity, dtype=np.float64),
-            targets,
-            np.asarray(ends.velocity, dtype=np.float64),
-            np.asarray(ends.acceleration, dtype=np.float64),
-            _TIMES,
-            jerk,
-            snap,
-            out,
-        )
+    k.min_times_to_go.run_loop(
+        len(targets),
+        0.1,
+        np.ascontiguousarray(position, dtype=np.float64),
+        np.ascontiguousarray(velocity, dtype=np.float64),
+        targets,
+        np.asarray(ends.velocity, dtype=np.float64),
+        np.asarray(ends.acceleration, dtype=np.float64),
+        _TIMES,
+        jerk,
+        snap,
+        out,
+    )
     return out
 
 

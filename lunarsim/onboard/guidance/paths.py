@@ -44,7 +44,7 @@ class PolynomialPath:
     @property
     def command(self) -> Array:
         """Initial acceleration (3,), m/s^2, gravity included."""
-        return np.asarray(self.end.acceleration + self.terms.sum(axis=0))
+        return np.asarray(self.end.acceleration + (self.terms[0] + self.terms[1]))
 
     def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
         """Return position, velocity and acceleration (..., 3) at times on the path.
@@ -116,19 +116,22 @@ class PathShape:
         """
         if not 0.0 < time_to_go < np.inf:
             raise InputError("guidance.time_to_go", time_to_go, "must be positive and finite")
-        r, v = np.asarray(position, dtype=np.float64), np.asarray(velocity, dtype=np.float64)
-        for name, value in (
-            ("position", r), ("velocity", v), ("end.position", end.position),
-            ("end.velocity", end.velocity), ("end.acceleration", end.acceleration),
-        ):  # fmt: skip
-            check_finite(f"guidance.{name}", value)
         terms = np.empty((2, 3))
         power_terms(
-            np.array([r, v]), np.array(end.position, dtype=np.float64),
+            np.array([position, velocity], dtype=np.float64),
+            np.array(end.position, dtype=np.float64),
             np.array([end.velocity, end.acceleration], dtype=np.float64), float(time_to_go),
             np.array(self.powers), terms,
         )  # fmt: skip
-        terms *= np.array([[self.low + 1.0], [self.high + 1.0]])
+        # An input that is not finite makes terms that are not.
+        if not np.isfinite(terms).all():
+            for name, value in (
+                ("position", position), ("velocity", velocity), ("end.position", end.position),
+                ("end.velocity", end.velocity), ("end.acceleration", end.acceleration),
+            ):  # fmt: skip
+                check_finite(f"guidance.{name}", value)
+        terms[0] *= self.low + 1.0
+        terms[1] *= self.high + 1.0
         return PolynomialPath(end, float(time_to_go), self.powers, terms)
 
 

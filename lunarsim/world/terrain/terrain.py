@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim._jit import threads_for
 from lunarsim.grid import Grid
 from lunarsim.rocks.field import RockField
 from lunarsim.rocks.shapes import shape_table
@@ -190,18 +189,19 @@ class Terrain:
         rays = len(direction)
         distance, rock = np.empty(rays), np.empty(rays, np.int32)
         normal = np.empty((rays if normals else 0, 3))
-        with threads_for(rays):
-            _ray_kernels.cast(
-                origin,
-                direction,
-                float(max_range),
-                normals,
-                self.relief.z,
-                self._frame,
-                *self._pyramid,
-                *self._rock_arrays,
-                (distance, normal, rock),
-            )
+        _ray_kernels.cast.run_loop(
+            rays,
+            1.0,
+            origin,
+            direction,
+            float(max_range),
+            normals,
+            self.relief.z,
+            self._frame,
+            *self._pyramid,
+            *self._rock_arrays,
+            (distance, normal, rock),
+        )
         return RayHits(distance, normal, rock)
 
 
