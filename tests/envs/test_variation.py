@@ -195,3 +195,28 @@ def test_the_whole_simulation_refuses_the_table():
     scenario = Scenario.from_dict({"domain_randomization": {"payload_kg": 5.0}})
     with pytest.raises(InputError, match="only Guidance-v0 and Control-v0"):
         Simulation(scenario, 1)
+
+
+def test_a_lander_that_differs_from_the_known_one_moves_differently():
+    """Hovering as if nothing were: weak thrust sinks, a heavy lander sinks, as computed by hand."""
+    hover = np.float32([0.0, 0.0, 2.0 * 1.622 / (6000.0 / 1100.0) - 1.0])
+    speeds = {}
+    for key, value in (("none", 1.0), ("thrust_scale", 0.9), ("dry_mass_scale", 1.2)):
+        changes = {} if key == "none" else {f"truth.vehicle.{key}": value}
+        env = GuidanceEnv(changes=LOW | changes, privileged=True)
+        env.reset(seed=3)
+        for _ in range(10):
+            *_, info = env.step(hover)
+        speeds[key] = info["privileged"][5]
+    assert speeds["thrust_scale"] < speeds["none"] - 0.05
+    assert speeds["dry_mass_scale"] < speeds["none"] - 0.05
+
+
+def test_the_nominal_truth_changes_no_bit_of_a_random_flight():
+    changes = {"truth.vehicle.thrust_scale": 1.0, "truth.vehicle.com_offset_m": [0.0, 0.0, 0.0]}
+    envs = [GuidanceEnv(changes=VARIED | more, privileged=True) for more in ({}, changes)]
+    seen = [env.reset(seed=5)[1]["privileged"] for env in envs]
+    assert np.array_equal(*seen)
+    for _ in range(5):
+        seen = [env.step(np.float32([0.1, 0.0, -0.3]))[4]["privileged"] for env in envs]
+        assert np.array_equal(*seen)
