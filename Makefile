@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 OUT ?= out
 
-.PHONY: demo test slow lint bench docs lock clean
+.PHONY: demo test slow lint bench results docs lock clean
 
 demo: $(STAMP)          ## closed-loop comparison of policies on measured terrain, with pictures
 	rm -rf $(OUT)/demo
@@ -27,6 +27,9 @@ lint: $(STAMP)          ## style, types, import contracts, words and names
 
 bench: $(STAMP)         ## speed, as ratios to references in the same run
 	$(BIN)/python scripts/bench.py
+
+results: $(STAMP)       ## the tables of docs/validation that come from docs/results
+	$(BIN)/python scripts/results_pages.py
 
 # The tutorials are executed side by side into the cache that Sphinx reads.
 TUTORIALS := $(filter-out %/index.md,$(wildcard docs/tutorials/*.md))

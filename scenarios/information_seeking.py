@@ -32,10 +32,12 @@ LAST = f"{ALTITUDES[-1]:g}"
 FIGURES: dict[str, Callable[[Flight], float]] = {
     "clear cells classified as clear": lambda f: f["levels"][LAST].get("clear", np.nan),
     "safe sites known": lambda f: _fraction_of_safe_area(f, LAST, "known_m2"),
-    "known and reachable": lambda f: _fraction_of_safe_area(f, LAST, "known_in_reach_m2"),
+    "safe sites known and reachable": lambda f: _fraction_of_safe_area(
+        f, LAST, "known_in_reach_m2"
+    ),
     "safe sites known at 100 m": lambda f: _fraction_of_safe_area(f, "100", "known_m2"),
     "recall at precision 0.99": lambda f: f["levels"][LAST].get("recall_at_099", np.nan),
-    "unsafe sites called safe": lambda f: (
+    "unsafe sites classified as safe": lambda f: (
         f["levels"][LAST]["unsafe_called_safe"] / max(f["levels"][LAST]["unsafe"], 1)
     ),
     "safe landings": lambda f: float(f["safe"]),

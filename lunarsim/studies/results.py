@@ -33,14 +33,14 @@ def provenance(name: str, script: Path, options: Mapping[str, Any]) -> dict[str,
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "version": lunarsim.__version__,
         "code": code_digest(),
-        "script": _script_digest(script),
+        "script": script_digest(script),
         "commit": _commit(script),
         "machine": environment(),
         "options": plain(options),
     }
 
 
-def _script_digest(script: Path) -> str:
+def script_digest(script: Path) -> str:
     """Return a digest of a script and of the files in its folder that it imports."""
     files, waiting = set(), [script]
     while waiting:

@@ -38,7 +38,8 @@ def test_paths_are_compared_per_field(study):
     assert line["seeking - nominal"].startswith("0.450")
     assert line["seeking - modified"].startswith("0.000")
     assert study.compare_paths(rows)["safe sites known"]["seeking"].startswith("0.250")
-    assert study.compare_paths(rows)["known and reachable"]["seeking"].startswith("0.125")
+    known = study.compare_paths(rows)["safe sites known and reachable"]
+    assert known["seeking"].startswith("0.125")
     console = Console(record=True, width=150)
     report = Report([], ["sensors"], "fields", {}, False, {}, 1, console)
     study.show("camera", rows, report)
