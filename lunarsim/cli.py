@@ -282,8 +282,7 @@ def calibrate(
     stream; `lunarsim fly` and `compare` never fly them.
     """  # noqa: D301
     from lunarsim.campaign.calibrate import calibrate as fit
-    from lunarsim.campaign.calibrate import gaussian_mapper
-    from lunarsim.campaign.calibration_report import calibration_remarks, calibration_table
+    from lunarsim.campaign.calibrate import calibration_remarks, calibration_table, gaussian_mapper
 
     check_output("--out", out, ".json")
     if out.exists() and not force:

@@ -15,8 +15,13 @@ import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 import lunarsim
-from lunarsim.campaign.files import bytes_digest, code_digest, environment, environment_differences
 from lunarsim.campaign.plan import MAX_FLIGHTS, Plan
+from lunarsim.campaign.provenance import (
+    bytes_digest,
+    code_digest,
+    environment,
+    environment_differences,
+)
 from lunarsim.campaign.rows import KINDS, schema_of
 from lunarsim.errors import InputError, check_folder
 from lunarsim.json_files import read_json

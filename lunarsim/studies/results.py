@@ -16,7 +16,7 @@ import numpy as np
 
 import lunarsim
 from lunarsim.atomic_files import atomic_write_text
-from lunarsim.campaign.files import bytes_digest, code_digest, environment
+from lunarsim.campaign.provenance import bytes_digest, code_digest, environment
 from lunarsim.errors import InputError, error_reason
 
 JOURNAL = "journal.jsonl"
