@@ -24,9 +24,8 @@ from lunarsim.campaign.provenance import (
 )
 from lunarsim.campaign.rows import KINDS, schema_of
 from lunarsim.errors import InputError, check_folder
-from lunarsim.json_files import read_json
 from lunarsim.scenario.errors import plain_problem
-from lunarsim.untrusted_folders import check_no_links, read_bounded_bytes
+from lunarsim.untrusted_files import check_no_links, read_bounded_bytes, read_json
 
 FORMAT = 2
 _Kind = Literal[*KINDS]  # type: ignore[valid-type]

@@ -16,7 +16,7 @@ import lunarsim
 from lunarsim.campaign.outcomes import Finished
 from lunarsim.campaign.plan import Plan, row_id
 from lunarsim.campaign.provenance import code_digest
-from lunarsim.untrusted_folders import MAX_FILE_BYTES
+from lunarsim.untrusted_files import MAX_FILE_BYTES
 
 # A row of results and its row of times.
 Row = tuple[dict[str, Any], dict[str, Any]]

@@ -36,7 +36,7 @@ from lunarsim.campaign.plan import Plan, row_id
 from lunarsim.campaign.provenance import bytes_digest
 from lunarsim.campaign.rows import TIMING, Row, check_size_in_memory, row_of, schema_of
 from lunarsim.errors import InputError
-from lunarsim.untrusted_folders import read_bounded_bytes
+from lunarsim.untrusted_files import read_bounded_bytes
 
 # Approximate number of rows of a part.
 PART_ROWS = 5000

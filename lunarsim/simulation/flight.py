@@ -32,8 +32,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 import lunarsim
-from lunarsim.atomic_files import atomic_write, atomic_write_text
-from lunarsim.atomic_netcdf import atomic_write_netcdf
+from lunarsim.atomic_files import atomic_write, atomic_write_netcdf, atomic_write_text
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.simulation.columns import COLUMNS

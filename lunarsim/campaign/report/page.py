@@ -36,7 +36,7 @@ from lunarsim.campaign.results import Results, failures, load_results
 from lunarsim.campaign.sensitivity import Sensitivity, sensitivities
 from lunarsim.errors import InputError, check_output, missing_package
 from lunarsim.evaluation.sequences import share_confidence_sequence
-from lunarsim.untrusted_folders import read_bounded_bytes
+from lunarsim.untrusted_files import read_bounded_bytes
 
 # Number of worst flights listed per arm.
 _LISTED_PER_ARM = 5
