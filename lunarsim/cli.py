@@ -88,9 +88,9 @@ def fly(
     SCENARIO is a TOML file or a name from `lunarsim scenario list`.
     """
     from lunarsim.compile_progress import report_compilation
+    from lunarsim.onboard.navigation.map_features import lock_forecast
     from lunarsim.rng import flight_seed
     from lunarsim.simulation import Simulation
-    from lunarsim.simulation.lock_forecast import lock_forecast
 
     loaded = load_scenario(scenario, changes, parts={"policy": policy, "guidance": guidance})
     if out is not None:

@@ -45,8 +45,7 @@ from lunarsim.simulation.flight_files import (
     read_trajectory,
     reading,
 )
-from lunarsim.simulation.map_record import MapRecord
-from lunarsim.simulation.map_remarks import map_remarks_by_mapper
+from lunarsim.simulation.map_record import MapRecord, map_remarks_by_mapper
 from lunarsim.typing import Array
 from lunarsim.vehicle.touchdown import LandingOutcome, Touchdown
 

@@ -17,7 +17,7 @@ from lunarsim.messages.commands import Command, SensorTask
 from lunarsim.messages.measurements import InertialSamples, Measurements
 from lunarsim.models.gimbal import limit_mount
 from lunarsim.models.jet_lander import centre_of_mass
-from lunarsim.onboard.result_checks import wrong_result_error
+from lunarsim.onboard.component_errors import wrong_result_error
 from lunarsim.sensors.imu import Imu
 from lunarsim.sensors.interface import Sensor, SensorPart
 from lunarsim.typing import Array
