@@ -25,7 +25,7 @@ _MODULES = {
     "InputError": "lunarsim.errors",
     "RenderingError": "lunarsim.errors",
     "map_quality": "lunarsim.evaluation.map_quality",
-    "rebuild_world": "lunarsim.evaluation.world_reconstruction",
+    "rebuild_world": "lunarsim.simulation.worlds",
     "compare": "lunarsim.facade",
     "fly": "lunarsim.facade",
     "load_scenario": "lunarsim.facade",

@@ -2,7 +2,6 @@ from lunarsim.campaign.comparison import CompareResult as CompareResult
 from lunarsim.errors import InputError as InputError
 from lunarsim.errors import RenderingError as RenderingError
 from lunarsim.evaluation.map_quality import map_quality as map_quality
-from lunarsim.evaluation.world_reconstruction import rebuild_world as rebuild_world
 from lunarsim.facade import compare as compare
 from lunarsim.facade import fly as fly
 from lunarsim.facade import load_scenario as load_scenario
@@ -19,6 +18,7 @@ from lunarsim.scenario.scenario import Scenario as Scenario
 from lunarsim.simulation.flight import Flight as Flight
 from lunarsim.simulation.loop import Simulation as Simulation
 from lunarsim.simulation.worlds import build_world as build_world
+from lunarsim.simulation.worlds import rebuild_world as rebuild_world
 from lunarsim.viz.flight import FlightFigures as FlightFigures
 from lunarsim.viz.flight import plot_flight as plot_flight
 from lunarsim.world.terrain.dtm import load_terrain as load_terrain

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from lunarsim.errors import InputError
-from lunarsim.json_files import read_json
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
@@ -51,34 +51,36 @@ def atomic_write_text(path: Path, text: str) -> None:
     atomic_write(path, write)
 
 
-def read_json_with_format(path: Path, field: str, tag: str, hint: str = "") -> dict[str, Any]:
-    """Read a JSON file and check that its key `format` has the value `tag`.
+def atomic_write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
+    """Write named arrays as a compressed ``.npz`` file atomically: complete or absent."""
+    import numpy as np  # noqa: PLC0415  (`--help` imports this module and must not load NumPy)
+
+    def write(part: Path) -> None:
+        with part.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+
+    atomic_write(path, write)
+
+
+def atomic_write_netcdf(
+    path: Path, dataset: xr.Dataset, encoding: Mapping[Hashable, Mapping[str, Any]] | None = None
+) -> None:
+    """Write an xarray dataset as a NetCDF file atomically (complete or absent).
+
+    HDF5 ends the process with a segmentation fault if it cannot close a file on a full disk. The
+    file is therefore created in memory and written by Python.
 
     Parameters
     ----------
     path
-        File to read.
-    field
-        Field name for errors.
-    tag
-        Required value of `format`.
-    hint
-        Clause added to errors, such as how to create the file.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, is not JSON, or has another format.
+        File to write.
+    dataset
+        Contents of the file.
+    encoding
+        Compression of each variable, in the format of `xarray.Dataset.to_netcdf`.
     """
-    if not path.is_file():
-        raise InputError(field, str(path), f"does not exist, but must be a file{hint}")
-    try:
-        data = read_json(path)
-    except ValueError as error:
-        raise InputError(field, str(path), f"must be a JSON file{hint} ({error})") from None
-    if not isinstance(data, dict) or data.get("format") != tag:
-        raise InputError(field, str(path), f"must be a file{hint} with format = {tag!r}")
-    return data
+    data = dataset.to_netcdf(engine="h5netcdf", encoding=dict(encoding or {}))
+    atomic_write(path, lambda part: part.write_bytes(data))
 
 
 def new_contents_remover(folder: Path) -> Callable[[], None]:

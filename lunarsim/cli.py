@@ -88,9 +88,9 @@ def fly(
     SCENARIO is a TOML file or a name from `lunarsim scenario list`.
     """
     from lunarsim.compile_progress import report_compilation
+    from lunarsim.onboard.navigation.map_features import lock_forecast
     from lunarsim.rng import flight_seed
     from lunarsim.simulation import Simulation
-    from lunarsim.simulation.lock_forecast import lock_forecast
 
     loaded = load_scenario(scenario, changes, parts={"policy": policy, "guidance": guidance})
     if out is not None:
@@ -282,8 +282,7 @@ def calibrate(
     stream; `lunarsim fly` and `compare` never fly them.
     """  # noqa: D301
     from lunarsim.campaign.calibrate import calibrate as fit
-    from lunarsim.campaign.calibrate import gaussian_mapper
-    from lunarsim.campaign.calibration_report import calibration_remarks, calibration_table
+    from lunarsim.campaign.calibrate import calibration_remarks, calibration_table, gaussian_mapper
 
     check_output("--out", out, ".json")
     if out.exists() and not force:

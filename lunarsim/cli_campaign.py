@@ -86,7 +86,7 @@ def plan(spec: Path, out: Path | None) -> None:
     planned = build_plan(loaded)
     if out is not None:
         from lunarsim.atomic_files import atomic_write
-        from lunarsim.campaign.plan_file import write_plan
+        from lunarsim.campaign.rows import write_plan
 
         atomic_write(out, lambda path: write_plan(planned, path, out.suffix.lower()))
         summary = f"{planned.flights} flights of {len(planned.arms)} arms"
@@ -419,7 +419,7 @@ def _print_levels(results: Results) -> None:
     """Print the table of the failure levels of a subset simulation."""
     from rich.table import Table
 
-    from lunarsim.campaign.subset_estimate import completion_remark, level_table_rows, load_chains
+    from lunarsim.campaign.rare_failures import completion_remark, level_table_rows, load_chains
 
     chains = load_chains(results)
     level_rows = level_table_rows(chains)
@@ -510,7 +510,7 @@ def replay(folder: Path, flight: str, out: Path | None) -> None:
     """
     from rich.table import Table
 
-    from lunarsim.campaign.replay import replay as fly
+    from lunarsim.campaign.flight_execution import replay as fly
 
     if out is not None:
         check_folder(out)

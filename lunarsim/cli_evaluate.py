@@ -113,7 +113,7 @@ def evaluate(
     Example:
       lunarsim evaluate Guidance-v0 --agent apollo --agent polynomial --episodes 50
     """  # noqa: D301
-    from lunarsim.campaign.files import environment
+    from lunarsim.campaign.provenance import environment
     from lunarsim_envs.evaluation.parallel import WorkersDieError, check_agents, fly
     from lunarsim_envs.evaluation.request import evaluation_study
     from lunarsim_envs.evaluation.results import add_on_target, agent_metrics, differences, write

@@ -16,12 +16,11 @@ from pathlib import Path
 import numpy as np
 from golden_parts.names import current_json
 
-from lunarsim.array_files import read_arrays
-from lunarsim.atomic_arrays import atomic_write_arrays
-from lunarsim.atomic_files import atomic_write_text
+from lunarsim.atomic_files import atomic_write_arrays, atomic_write_text
 from lunarsim.errors import InputError
 from lunarsim.scenario.renamed_keys import current_path
 from lunarsim.scenario.upgrade import upgrade_file
+from lunarsim.untrusted_files import read_arrays
 
 ARRAYS = {"claimed": "reported_velocity_sigma"}
 # Path of a scenario table for each table that a surrogate was fitted to.

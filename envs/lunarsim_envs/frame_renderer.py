@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lunarsim.onboard.policies import Observation
 from lunarsim.simulation import Simulation
-from lunarsim.simulation.map_remarks import map_remark
+from lunarsim.simulation.map_record import map_remark
 
 # Height and horizontal distance shown in the close-up of the landing, m.
 _LOW, _ASIDE = 60.0, 60.0

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.campaign.files import code_digest, environment
+from lunarsim.campaign.provenance import code_digest, environment
 from lunarsim.errors import InputError
 from lunarsim.user_cache import user_cache
 

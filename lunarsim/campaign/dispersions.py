@@ -1,4 +1,4 @@
-"""Dispersions of a campaign: distributions of scenario values, sampling designs.
+"""Dispersions of a campaign: random scenario values and sampling designs.
 
 Every draw starts from one number in (0, 1) per key. Plain Monte Carlo takes it from a stream of
 the flight's own seed, so flight i draws the same values in every campaign. Latin hypercube and
@@ -19,15 +19,20 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 from scipy.special import ndtr, ndtri
-from scipy.stats import qmc, truncnorm
+from scipy.stats import qmc
 
-from lunarsim.campaign.subset_settings import SubsetSettings
+from lunarsim.campaign.distributions import (
+    Choice,
+    Distribution,
+    build_settings,
+    parse_distributions,
+)
+from lunarsim.campaign.factors import flatten_keys
 from lunarsim.errors import InputError, suggestion
-from lunarsim.parts import quantity, settings_of
+from lunarsim.evaluation.flight_metrics import COLUMNS
+from lunarsim.parts import quantity
 from lunarsim.rng import RandomStreams, design_seed, flight_seed
-from lunarsim.scenario.errors import input_error
 from lunarsim.scenario.renamed_keys import first_path
 from lunarsim.typing import Array
 
@@ -38,181 +43,10 @@ EXTENSIBLE_METHODS = ("monte-carlo", "importance")
 _STREAM_METHODS = (*EXTENSIBLE_METHODS, "subset")
 # Draws stay this far from 0 and 1, where normal scores are infinite.
 _MIN_PROBABILITY = 2.0**-53
+# Minimum number of chains per level of a subset simulation; fewer do not show the spread between
+# chains.
+_MIN_CHAINS = 10
 _SCALE_REMEDY = "A scale below 1 misses failures on every side."
-# Minimum probability of a normal distribution between its bounds.
-_MIN_BOUNDED_MASS = 1e-12
-
-
-@dataclass(frozen=True)
-class Normal:
-    """Normal distribution of a scenario value.
-
-    Attributes
-    ----------
-    mean, sigma
-        Mean and standard deviation, in the unit of the key.
-    """
-
-    mean: float = quantity(0.0)
-    sigma: float = quantity(1.0, gt=0)
-
-    def at(self, u: float) -> float:
-        """Return the quantile of the distribution at the probability `u`, in (0, 1)."""
-        return float(self.mean + self.sigma * ndtri(u))
-
-
-@dataclass(frozen=True)
-class TruncatedNormal:
-    """Normal distribution of a scenario value, truncated at one or two bounds.
-
-    Attributes
-    ----------
-    mean, sigma, low, high
-        Mean and standard deviation before truncation, and bounds, in the unit of the key. An
-        omitted bound is infinite.
-    """
-
-    mean: float = quantity(0.0)
-    sigma: float = quantity(1.0, gt=0)
-    low: float | None = quantity(None)
-    high: float | None = quantity(None)
-
-    def __post_init__(self) -> None:
-        if self.low is None and self.high is None:
-            raise InputError(
-                "low",
-                None,
-                "is required if high is omitted",
-                'Without bounds, use kind = "normal".',
-                show_value=False,
-            )
-        low, high = self._scores()
-        if not low < high:
-            raise InputError("low", self.low, f"must be less than high, which is {self.high}")
-        mass = ndtr(-low) - ndtr(-high) if low > 0.0 else ndtr(high) - ndtr(low)
-        if mass < _MIN_BOUNDED_MASS:
-            raise InputError(
-                "high" if self.low is None else "low", self.high if self.low is None else self.low,
-                "must be closer to the mean, because the probability between low and high is "
-                f"below {_MIN_BOUNDED_MASS:g}",
-            )  # fmt: skip
-
-    def _scores(self) -> tuple[float, float]:
-        low = -np.inf if self.low is None else (self.low - self.mean) / self.sigma
-        high = np.inf if self.high is None else (self.high - self.mean) / self.sigma
-        return low, high
-
-    def at(self, u: float) -> float:
-        """Return the quantile of the distribution at the probability `u`, in (0, 1)."""
-        low, high = self._scores()
-        return float(self.mean + self.sigma * truncnorm.ppf(u, low, high))
-
-
-@dataclass(frozen=True)
-class Uniform:
-    """Uniform distribution of a scenario value.
-
-    Attributes
-    ----------
-    low, high
-        Bounds, in the unit of the key.
-    """
-
-    low: float = quantity(0.0)
-    high: float = quantity(1.0)
-
-    def __post_init__(self) -> None:
-        if not self.low < self.high:
-            raise InputError("low", self.low, f"must be less than high, which is {self.high}")
-
-    def at(self, u: float) -> float:
-        """Return the quantile of the distribution at the probability `u`, in (0, 1)."""
-        return float(self.low + (self.high - self.low) * u)
-
-
-@dataclass(frozen=True)
-class Choice:
-    """Random choice of a scenario value from a list.
-
-    Attributes
-    ----------
-    values
-        Values that the key accepts.
-    weights
-        One weight per value, not all zero; omitted: equal weights.
-    """
-
-    values: tuple[Any, ...] = quantity(())
-    weights: tuple[float, ...] | None = quantity(None, ge=0)
-
-    def __post_init__(self) -> None:
-        if not self.values:
-            raise InputError("values", [], "must contain at least one value")
-        if self.weights is not None:
-            if len(self.weights) != len(self.values):
-                raise InputError(
-                    "weights",
-                    self.weights,
-                    f"must have as many weights as values ({len(self.values)})",
-                )
-            if not 0.0 < sum(self.weights) < np.inf:
-                expected = "must have a positive and finite sum"
-                raise InputError("weights", self.weights, expected)
-
-    def at(self, u: float) -> Any:
-        """Return the value whose range of cumulative, normalised weights contains `u`."""
-        weights = np.ones(len(self.values)) if self.weights is None else np.array(self.weights)
-        index = int(np.searchsorted(np.cumsum(weights) / weights.sum(), u, side="right"))
-        return self.values[min(index, len(self.values) - 1)]
-
-
-Distribution = Normal | TruncatedNormal | Uniform | Choice
-KINDS: dict[str, type[Distribution]] = {
-    "normal": Normal,
-    "truncated-normal": TruncatedNormal,
-    "uniform": Uniform,
-    "choice": Choice,
-}
-_REQUIRED_FIELDS = {
-    "normal": ("mean", "sigma"),
-    "truncated-normal": ("mean", "sigma"),
-    "uniform": ("low", "high"),
-    "choice": ("values",),
-}
-
-
-def distribution(key: str, table: Any) -> Distribution:
-    """Build the distribution of a scenario key from its table in the campaign file.
-
-    Raises
-    ------
-    InputError
-        If the table is not valid; the field is ``dispersions.KEY``.
-    """
-    path = f"dispersions.{key}"
-    if not isinstance(table, Mapping):
-        raise InputError(path, table, "must be a table with a kind: " + ", ".join(KINDS))
-    values = dict(table)
-    kind = values.pop("kind", None)
-    if not isinstance(kind, str) or kind not in KINDS:
-        if kind is None:
-            known = f"Known names: {', '.join(KINDS)}."
-            raise InputError(f"{path}.kind", kind, "is required", known, show_value=False)
-        raise InputError(f"{path}.kind", kind, "is unknown", suggestion(str(kind), KINDS))
-    for name in _REQUIRED_FIELDS[kind]:
-        if name not in values:
-            raise InputError(
-                f"{path}.{name}", None, f"is required for kind {kind!r}", show_value=False
-            )
-    of: type = KINDS[kind]
-    model = settings_of(of)
-    try:
-        made: Distribution = model.model_validate(values).make()
-    except ValidationError as error:
-        raise input_error(path, model, error, None, kind) from None
-    except InputError as error:
-        raise error.with_field(f"{path}.{error.field}") from None
-    return made
 
 
 @dataclass(frozen=True)
@@ -327,6 +161,84 @@ class Importance:
         )  # of the shifted density to the nominal one
         share = self.nominal_share
         return ndtr(z), float(1.0 / (share + (1.0 - share) * np.exp(log_ratio)))
+
+
+@dataclass(frozen=True)
+class SubsetSettings:
+    """Settings of subset simulation: failure metric, limit, and levels.
+
+    Attributes
+    ----------
+    metric
+        Numeric column that measures the distance from failure.
+    above, below
+        Limit of the metric above or below which a flight counts as a failure; one of the two.
+    keep
+        Fraction of a level's flights that are the seeds of the Markov chains of the next level.
+    levels
+        Maximum number of levels; keep ** levels is about the smallest resolvable probability.
+    same_world
+        Fraction of the steps of a Markov chain that keep its world (terrain and noise).
+    """
+
+    metric: str = quantity(
+        "touchdown_margin",
+        help="numeric result column that measures the distance of a flight from failure",
+    )
+    above: float | None = quantity(
+        None, help="limit of the metric above which a flight counts as a failure"
+    )
+    below: float | None = quantity(
+        None, help="limit of the metric below which a flight counts as a failure"
+    )
+    keep: float = quantity(
+        0.1,
+        ge=0.05,
+        le=0.5,
+        help="fraction of a level's flights from which the next level starts; they are those "
+        "closest to failure",
+    )
+    levels: int = quantity(6, ge=1, le=20, help="maximum number of levels of the subset simulation")
+    same_world: float = quantity(
+        0.5, ge=0, le=1, help="fraction of the steps of a Markov chain that keep terrain and noise"
+    )
+
+    def __post_init__(self) -> None:
+        known = [name for name, kind in COLUMNS.items() if kind == "float"]
+        if self.metric not in known:
+            raise InputError(
+                "metric", self.metric, "must be a numeric column of the results",
+                suggestion(self.metric, known),
+            )  # fmt: skip
+        if (self.above is None) == (self.below is None):
+            raise InputError(
+                "below",
+                self.below,
+                "is required if above is omitted"
+                if self.below is None
+                else "must be omitted if above is given",
+                show_value=self.below is not None,
+            )
+        if abs(self.steps * self.keep - 1.0) > 1e-9:
+            raise InputError(
+                "keep", self.keep, "must be 1 divided by an integer, for instance 0.1, 0.2 or 0.25"
+            )
+
+    @property
+    def steps(self) -> int:
+        """Number of states of a chain, including its seed."""
+        return round(1.0 / self.keep)
+
+    def check_flights(self, flights: int) -> None:
+        """Raise `InputError` if `flights` per level give incomplete or too few chains."""
+        least = _MIN_CHAINS * self.steps
+        if flights % self.steps or flights < least:
+            up = max(least, -(-flights // self.steps) * self.steps)
+            raise InputError(
+                "flights", flights,
+                f"must be {least} or more and a multiple of {self.steps}, which is 1 / subset.keep",
+                f"Use {up}.",
+            )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -491,6 +403,42 @@ class Dispersions:
         if self.method == "sobol":
             return np.asarray(qmc.Sobol(count, rng=rng).random(self.flights))
         return np.asarray(qmc.LatinHypercube(count, rng=rng).random(self.flights))
+
+
+def build_dispersions(
+    tables: Mapping[str, Any], method: str, seed: int, flights: int
+) -> Dispersions:
+    """Build the random distributions of a campaign from the tables of its file.
+
+    The tables may also come from the identity in a campaign folder's manifest.
+
+    Raises
+    ------
+    InputError
+        Naming the first invalid field.
+    """
+    laws = parse_distributions(tables.get("dispersions") or {})
+    groups, importance, subset = (tables.get(n) for n in ("correlations", "importance", "subset"))
+    if not isinstance(groups, list | None):
+        raise InputError(
+            "correlations", groups, "must be tables [[correlations]], each with keys and matrix"
+        )
+    correlations = tuple(
+        build_settings(f"correlations.{i}", Correlation, table)
+        for i, table in enumerate(groups or ())
+    )
+    if isinstance(importance, Mapping):
+        importance = {
+            name: flatten_keys(value, f"importance.{name}", (int, float))
+            if name in ("shifts", "scales")
+            else value
+            for name, value in importance.items()
+        }
+    return Dispersions(
+        laws, correlations, method, seed, flights,
+        None if importance is None else build_settings("importance", Importance, importance),
+        None if subset is None else build_settings("subset", SubsetSettings, subset),
+    )  # fmt: skip
 
 
 def world_index(flight: int, block: int) -> int:

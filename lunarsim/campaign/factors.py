@@ -12,12 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from lunarsim.campaign.scenario_tables import GROUND_TABLES, tables_as_text
 from lunarsim.errors import InputError
 from lunarsim.onboard.policies.contract import RetargetingPolicy
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.changes import parse_changes, path_of, with_values
 
+# Tables that define the terrain and the truth about it, together with the seed.
+GROUND_TABLES = ("terrain", "rocks")
+TRUTH_TABLES = (*GROUND_TABLES, "vehicle")
 # A larger number is probably a mistake in the spec.
 MAX_ARMS = 1000
 # Maximum length of a folder name, bytes; file systems allow 255.
@@ -229,6 +231,15 @@ def group_arms_by_terrain(arms: Sequence[Arm]) -> tuple[tuple[int, ...], ...]:
     for i, arm in enumerate(arms):
         found.setdefault(tables_as_text(arm.scenario, GROUND_TABLES), []).append(i)
     return tuple(tuple(group) for group in found.values())
+
+
+def tables_as_text(scenario: Scenario, tables: tuple[str, ...]) -> str:
+    """Return the named tables of a scenario as text, for use as a dictionary key.
+
+    Two texts are equal if and only if the tables are equal.
+    """
+    data = scenario.to_dict()
+    return repr({name: data.get(name) for name in tables})
 
 
 def folder_name(arm: str) -> str:

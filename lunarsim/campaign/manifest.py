@@ -15,13 +15,17 @@ import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 import lunarsim
-from lunarsim.campaign.files import bytes_digest, code_digest, environment, environment_differences
 from lunarsim.campaign.plan import MAX_FLIGHTS, Plan
+from lunarsim.campaign.provenance import (
+    bytes_digest,
+    code_digest,
+    environment,
+    environment_differences,
+)
 from lunarsim.campaign.rows import KINDS, schema_of
 from lunarsim.errors import InputError, check_folder
-from lunarsim.json_files import read_json
 from lunarsim.scenario.errors import plain_problem
-from lunarsim.untrusted_folders import check_no_links, read_bounded_bytes
+from lunarsim.untrusted_files import check_no_links, read_bounded_bytes, read_json
 
 FORMAT = 2
 _Kind = Literal[*KINDS]  # type: ignore[valid-type]

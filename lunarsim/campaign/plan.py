@@ -10,8 +10,6 @@ from typing import Any, Protocol
 WEIGHT = "weight"
 # Maximum number of flights of all arms; at 0.1 s each they take 12 days on one core.
 MAX_FLIGHTS = 10_000_000
-# Kinds of columns in a results table.
-KINDS = ("bool", "int", "float", "text")
 
 
 def row_id(flight: int, arm: int) -> str:

@@ -18,14 +18,14 @@ import pyarrow.csv as pcsv
 import pyarrow.parquet as pq
 
 from lunarsim.atomic_files import atomic_write
-from lunarsim.campaign.files import bytes_digest
 from lunarsim.campaign.manifest import FORMAT, read_manifest
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.plan import WEIGHT
+from lunarsim.campaign.provenance import bytes_digest
 from lunarsim.campaign.rows import TIMING, check_size_in_memory, schema_of
 from lunarsim.errors import InputError, check_output
 from lunarsim.typing import BoolArray
-from lunarsim.untrusted_folders import read_bounded_bytes
+from lunarsim.untrusted_files import read_bounded_bytes
 
 # Columns that have a value in every row.
 _REQUIRED_COLUMNS = ("id", "flight", "arm")

@@ -1,20 +1,22 @@
-"""Define the columns of results and times, and convert finished flights to rows."""
+"""Columns of plans, results and times; convert finished flights to rows."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.csv as pcsv
 import pyarrow.parquet as pq
 
 import lunarsim
-from lunarsim.campaign.files import code_digest
 from lunarsim.campaign.outcomes import Finished
 from lunarsim.campaign.plan import Plan, row_id
-from lunarsim.untrusted_folders import MAX_FILE_BYTES
+from lunarsim.campaign.provenance import code_digest
+from lunarsim.untrusted_files import MAX_FILE_BYTES
 
 # A row of results and its row of times.
 Row = tuple[dict[str, Any], dict[str, Any]]
@@ -113,3 +115,28 @@ def to_cell(value: Any, kind: str) -> Any:
     In a text column, a value that is not a string becomes JSON text.
     """
     return json.dumps(value) if kind == "text" and not isinstance(value, str | None) else value
+
+
+def write_plan(plan: Plan, path: Path, suffix: str) -> None:
+    """Write the inputs of every flight of a campaign to a CSV or Parquet file.
+
+    An arm is a variant of the scenario. The file has one row per flight and arm: id, flight, arm,
+    seed and inputs.
+
+    Parameters
+    ----------
+    plan, path
+        Plan; path of the file.
+    suffix
+        Format, .csv or .parquet.
+    """
+    full_schema = schema_of(plan.inputs, {})
+    schema = pa.schema(
+        [full_schema.field(n) for n in ("id", "flight", "arm", "seed", *plan.inputs)]
+    )
+    rows = [
+        row | {key: to_cell(row.get(key), kind) for key, kind in plan.inputs.items()}
+        for row in plan.rows()
+    ]
+    table = pa.Table.from_pylist(rows, schema)
+    (pcsv.write_csv if suffix == ".csv" else pq.write_table)(table, path)

@@ -31,17 +31,9 @@ from pathlib import Path
 from typing import Any
 
 import tomli_w
-from pydantic import ValidationError
 
-from lunarsim.campaign.dispersions import (
-    EXTENSIBLE_METHODS,
-    KINDS,
-    Choice,
-    Correlation,
-    Dispersions,
-    Importance,
-    distribution,
-)
+from lunarsim.campaign.dispersions import EXTENSIBLE_METHODS, Dispersions, build_dispersions
+from lunarsim.campaign.distributions import KINDS, Choice, build_settings
 from lunarsim.campaign.factors import (
     Arm,
     build_arms,
@@ -50,16 +42,13 @@ from lunarsim.campaign.factors import (
     parse_arms,
     product,
 )
-from lunarsim.campaign.files import file_digests, module_digest, part_digests
 from lunarsim.campaign.plan import MAX_FLIGHTS
-from lunarsim.campaign.relative_paths import resolve_paths
-from lunarsim.campaign.subset_settings import SubsetSettings
+from lunarsim.campaign.provenance import file_digests, module_digest, part_digests
 from lunarsim.errors import InputError, suggestion
 from lunarsim.evaluation.flight_metrics import COLUMNS
 from lunarsim.parts import module_permission, quantity, settings_of
 from lunarsim.scenario import Scenario, shipped
 from lunarsim.scenario.changes import path_of, with_values
-from lunarsim.scenario.errors import input_error
 from lunarsim.scenario.files import read_toml
 from lunarsim.scenario.layout import SELECTED
 
@@ -216,13 +205,15 @@ class CampaignSpec:
         rest = dict(data)
         tables = {name: rest.pop(name, None) for name in _TABLES}
         if folder is not None:
-            paths = {name: resolve_paths(tables[name], folder) for name in _WITH_PATHS}
+            paths = {name: _resolve_paths(tables[name], folder) for name in _WITH_PATHS}
             tables |= paths
-        head = _build("", CampaignSettings, rest)
+        head = _head(rest)
         scenario = _scenario(tables["scenario"], folder)
         factors, arms = _arms(scenario, tables["factors"], tables["arms"])
         dispersions = build_dispersions(tables, head.method, head.seed, head.flights)
-        stop = None if tables["stop"] is None else _build("stop", StopSettings, tables["stop"])
+        stop = (
+            None if tables["stop"] is None else build_settings("stop", StopSettings, tables["stop"])
+        )
         if stop is not None and head.method != "monte-carlo":
             raise InputError(
                 "stop", head.method, "is allowed only with method = 'monte-carlo', but method is "
@@ -376,83 +367,27 @@ _TABLES = (
 _WITH_PATHS = ("factors", "arms", "dispersions")
 
 
-def build_dispersions(
-    tables: Mapping[str, Any], method: str, seed: int, flights: int
-) -> Dispersions:
-    """Build the random distributions of a campaign from the tables of its file.
+def _resolve_paths(tables: Any, folder: Path, *, is_path: bool = False) -> Any:
+    """Return nested tables in which relative paths are replaced by absolute ones.
 
-    The tables may also come from the identity in a campaign folder's manifest.
-
-    Raises
-    ------
-    InputError
-        Naming the first invalid field.
+    Relative paths start from `folder`. `is_path` states whether `tables` is the value of a key that
+    names a file.
     """
-    laws = parse_distributions(tables.get("dispersions") or {})
-    correlations = tuple(
-        _build(f"correlations.{i}", Correlation, table)
-        for i, table in enumerate(_list(tables.get("correlations")))
-    )
-    importance, subset = _importance(tables.get("importance")), tables.get("subset")
-    near = None if subset is None else _build("subset", SubsetSettings, subset)
-    return Dispersions(laws, correlations, method, seed, flights, importance, near)
+    if isinstance(tables, Mapping):
+        return {
+            key: _resolve_paths(
+                value, folder, is_path=(is_path and key == "values") or _names_file(str(key))
+            )
+            for key, value in tables.items()
+        }
+    if isinstance(tables, list):
+        return [_resolve_paths(value, folder, is_path=is_path) for value in tables]
+    return str((folder / tables).resolve()) if is_path and isinstance(tables, str) else tables
 
 
-def parse_distributions(table: Any) -> dict[str, Any]:
-    """Build the distributions in the table ``[dispersions]``, by scenario key.
-
-    Keys of the table may be dotted or nested.
-
-    Raises
-    ------
-    InputError
-        If a value is not a distribution.
-    """
-    if not isinstance(table, Mapping):
-        raise InputError("dispersions", table, "must be a table")
-    found = {}
-    for key, value in _distribution_tables(table):
-        if key in found:
-            raise InputError(
-                f"dispersions.{key}", value, "must be given only once, dotted or in a table",
-                show_value=False,
-            )  # fmt: skip
-        found[key] = distribution(key, value)
-    return found
-
-
-def _importance(table: Any) -> Importance | None:
-    """Build the settings of importance sampling from ``[importance]``, if given."""
-    if table is None:
-        return None
-    if not isinstance(table, Mapping):
-        raise InputError("importance", table, "must be a table")
-    flat = {
-        name: flatten_keys(value, f"importance.{name}", (int, float))
-        if name in _IMPORTANCE_TABLES
-        else value
-        for name, value in table.items()
-    }
-    made: Importance = _build("importance", Importance, flat)
-    return made
-
-
-_IMPORTANCE_TABLES = ("shifts", "scales")
-
-
-def _distribution_tables(table: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
-    """Return scenario key and table of each distribution in nested tables.
-
-    A distribution is a table with a string `kind`; a value that is not a table is returned too, and
-    refused later. `prefix` precedes the keys.
-    """
-    found = []
-    for key, value in table.items():
-        name = f"{prefix}{key}"
-        inner = isinstance(value, Mapping) and not isinstance(value.get("kind"), str)
-        deeper = inner and value and all(isinstance(v, Mapping) for v in value.values())
-        found += _distribution_tables(value, f"{name}.") if deeper else [(name, value)]
-    return found
+def _names_file(key: str) -> bool:
+    last = key.rpartition(".")[2]
+    return last == "path" or last.endswith("_path")
 
 
 def _arms(
@@ -478,37 +413,18 @@ def _scenario(given: Any, folder: Path | None) -> Scenario:
     return Scenario.load(shipped.found(Path(given), folder))
 
 
-def _list(given: Any) -> list[Any]:
-    if given is None:
-        return []
-    if not isinstance(given, list):
-        raise InputError(
-            "correlations", given, "must be tables [[correlations]], each with keys and matrix"
-        )
-    return given
-
-
-def _build(path: str, settings_class: type, table: Any) -> Any:
-    """Build and check a settings object from its table in the campaign file.
-
-    `path` is the name of the table, "" for the top level.
-    """
-    if not isinstance(table, Mapping):
-        raise InputError(path, table, "must be a table")
-    model = settings_of(settings_class)
-    before = f"{path}." if path else ""
+def _head(table: Mapping[str, Any]) -> CampaignSettings:
+    """Build the settings of a campaign from the top-level keys of its file."""
     try:
-        return model.model_validate(dict(table)).make()
-    except ValidationError as error:
-        found = input_error(path, model, error, None, "")
-        if found.field.startswith(".") and "unknown key" in found.problem:
-            key = found.field.removeprefix(".")
-            hint = suggestion(key, [*model.model_fields, *_TABLES])
-            problem = "is an unknown key at the top level of the campaign"
-            raise InputError(key, found.value, problem, hint, False) from None
-        raise found.with_field(found.field.removeprefix(".")) from None
+        head: CampaignSettings = build_settings("", CampaignSettings, table)
     except InputError as error:
-        raise error.with_field(before + error.field) from None
+        key = error.field.removeprefix(".")
+        if "unknown key" not in error.problem:
+            raise error.with_field(key) from None
+        hint = suggestion(key, [*settings_of(CampaignSettings).model_fields, *_TABLES])
+        problem = "is an unknown key at the top level of the campaign"
+        raise InputError(key, error.value, problem, hint, False) from None
+    return head
 
 
 def _keys(head: CampaignSettings) -> dict[str, Any]:

@@ -30,13 +30,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lunarsim.atomic_files import atomic_write, atomic_write_text
-from lunarsim.campaign.files import bytes_digest, write_json
 from lunarsim.campaign.manifest import matching_manifest, new_manifest, with_digest
 from lunarsim.campaign.outcomes import FLOWN, Finished
 from lunarsim.campaign.plan import Plan, row_id
+from lunarsim.campaign.provenance import bytes_digest
 from lunarsim.campaign.rows import TIMING, Row, check_size_in_memory, row_of, schema_of
 from lunarsim.errors import InputError
-from lunarsim.untrusted_folders import read_bounded_bytes
+from lunarsim.untrusted_files import read_bounded_bytes
 
 # Approximate number of rows of a part.
 PART_ROWS = 5000
@@ -360,7 +360,8 @@ class Store:
     def save_manifest(self, **values: Any) -> None:
         """Set values of the manifest by key, and write the manifest to the folder."""
         self.manifest |= values
-        write_json(self.folder / "manifest.json", with_digest(self.manifest))
+        text = json.dumps(with_digest(self.manifest), indent=1) + "\n"
+        atomic_write_text(self.folder / "manifest.json", text)
 
     def close(self, state: str) -> None:
         """Write all results to Parquet parts, record the campaign's state, and unlock."""

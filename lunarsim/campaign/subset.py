@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from lunarsim.campaign.dispersions import Choice, Dispersions
+from lunarsim.campaign.dispersions import Dispersions
+from lunarsim.campaign.distributions import Choice
 from lunarsim.campaign.plan import Group
 from lunarsim.rng import RandomStreams, flight_seed
 from lunarsim.typing import Array, IntArray

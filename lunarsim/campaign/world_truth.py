@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from lunarsim.campaign.cache import Arrays, DiskCache
-from lunarsim.campaign.files import file_digests
-from lunarsim.campaign.scenario_tables import GROUND_TABLES, TRUTH_TABLES, tables_as_text
+from lunarsim.campaign.factors import GROUND_TABLES, TRUTH_TABLES, tables_as_text
+from lunarsim.campaign.provenance import file_digests
 from lunarsim.grid import Grid
 from lunarsim.rng import RandomStreams
 from lunarsim.safety import SafetyMap

@@ -17,23 +17,21 @@ from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.commands import Command, SensorTask
 from lunarsim.messages.measurements import InertialSamples, Measurements
 from lunarsim.models.jet_lander import JetLander
+from lunarsim.onboard.component_errors import checked_command, prefix_input_errors
 from lunarsim.onboard.control.jets import JetLoop, attitude_loop
 from lunarsim.onboard.control.throttle import ThrottleRegions
 from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.divert_inhibit import DivertInhibit
-from lunarsim.onboard.error_prefix import prefix_input_errors
-from lunarsim.onboard.guidance.climb import climb
 from lunarsim.onboard.guidance.command_limits import (
     LimitViolationMonitor,
     PositionCorrectionLimiter,
 )
 from lunarsim.onboard.guidance.contract import PhaseEnd, UsesHazardMap
 from lunarsim.onboard.guidance.divert_cost import DivertCost
-from lunarsim.onboard.guidance.vertical import descent_law
+from lunarsim.onboard.guidance.vertical import climb, descent_law
 from lunarsim.onboard.hazards.hazard_map import HazardMap, lookup_elevation
 from lunarsim.onboard.hazards.map_tilt_correction import MapTiltCorrection
-from lunarsim.onboard.hazards.mapper import HazardMapper, sensor_names
-from lunarsim.onboard.hazards.mapper_factory import build_mappers
+from lunarsim.onboard.hazards.mapper import HazardMapper, build_mappers, sensor_names
 from lunarsim.onboard.mass_estimator import MassEstimator
 from lunarsim.onboard.navigation.estimate import Estimate, ThrustAware
 from lunarsim.onboard.navigation.measurement_sequencer import MeasurementSequencer
@@ -45,7 +43,6 @@ from lunarsim.onboard.policies.contract import (
     RetargetingPolicy,
     checked_decision,
 )
-from lunarsim.onboard.result_checks import checked_command
 from lunarsim.onboard.site_evaluator import DescentStatus, SiteEvaluator
 from lunarsim.onboard.tasking.contract import Situation
 from lunarsim.typing import Array

@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from lunarsim.core.guidance import fallback_time
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.guidance.apollo import time_to_go_for_jerk
-from lunarsim.onboard.guidance.approach_time import initial_time_to_go, reason_time_is_fixed
-from lunarsim.onboard.guidance.contract import GuidanceLaw, PlansArrival
+from lunarsim.onboard.guidance.approach import Approach
+from lunarsim.onboard.guidance.contract import GuidanceLaw, PhaseEnd, PlansArrival
+from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.site_evaluator import DescentStatus, SiteEvaluator
 
 # Records the event with a time, s, a name and details.
@@ -119,7 +121,7 @@ class PhaseSequence:
         self._record(status.time, "approach", details)
         end = self._approach.end(status.site, self._lander)
         optimal, _ = self._evaluator.time_to(status.site, status.estimate)
-        left, within = initial_time_to_go(self._approach, status.estimate, end, optimal)
+        left, within = _initial_time_to_go(self._approach, status.estimate, end, optimal)
         if not within:
             self._record(status.time, "approach-out-of-limits", details)
         self.arrival = status.time + left
@@ -151,7 +153,7 @@ class PhaseSequence:
         """
         if time_scale is None:
             return None, ""
-        why = reason_time_is_fixed(self._approach, self._guidance)
+        why = _reason_time_is_fixed(self._approach, self._guidance)
         if inhibited:
             why = "navigation is lost"
         elif self.phase != Phase.APPROACH:
@@ -179,7 +181,7 @@ class PhaseSequence:
         if no path keeps the limits, if it is already long enough, or if the mission or the
         guidance law sets it.
         """
-        if reason_time_is_fixed(self._approach, self._guidance):
+        if _reason_time_is_fixed(self._approach, self._guidance):
             return
         time_to_go, _ = self._evaluator.time_to(status.site, status.estimate)
         left = self.arrival - status.time
@@ -199,3 +201,39 @@ class PhaseSequence:
         for event in self._guidance.events[self._recorded_guidance_events :]:
             self._record(*event)
         self._recorded_guidance_events = len(self._guidance.events)
+
+
+def _initial_time_to_go(
+    approach: Approach, estimate: Estimate, end: PhaseEnd, optimal_time: float
+) -> tuple[float, bool]:
+    """Return the initial time-to-go of the approach, s, and whether it is admissible.
+
+    If the settings `approach` have a jerk, the time follows from it; otherwise it is
+    `approach.time_to_go`. Both count as admissible without a check of the path limits. If neither
+    is set, the time is `optimal_time`, s, that of the minimum-propellant path. If this is not
+    finite, no time is admissible: the results are a time from distance and speed, and False. `end`
+    is the end state of the approach.
+    """
+    if approach.jerk is not None:
+        guess = approach.time_to_go or _fallback_time(estimate, end)
+        return time_to_go_for_jerk(estimate, end, approach.jerk, guess, max_change=np.inf), True
+    left = approach.time_to_go or optimal_time
+    return (left, True) if np.isfinite(left) else (_fallback_time(estimate, end), False)
+
+
+def _reason_time_is_fixed(approach: Approach, law: GuidanceLaw) -> str:
+    """Return why the onboard computer does not choose the time-to-go of the approach.
+
+    The result is a text for messages; it is empty if the computer chooses the time-to-go.
+    `approach` are the settings of the approach.
+    """
+    if not approach.has_free_time_to_go:
+        return "the mission sets the time-to-go"
+    return "the law plans its own arrival" if isinstance(law, PlansArrival) else ""
+
+
+def _fallback_time(estimate: Estimate, end: PhaseEnd) -> float:
+    """Estimate a time-to-go (s) from distance and speed only, without path limits."""
+    distance = float(np.linalg.norm(end.position - estimate.position))
+    speed = float(np.linalg.norm(estimate.velocity))
+    return float(fallback_time(distance, speed))

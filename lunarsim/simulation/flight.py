@@ -32,8 +32,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 import lunarsim
-from lunarsim.atomic_files import atomic_write, atomic_write_text
-from lunarsim.atomic_netcdf import atomic_write_netcdf
+from lunarsim.atomic_files import atomic_write, atomic_write_netcdf, atomic_write_text
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.simulation.columns import COLUMNS
@@ -46,8 +45,7 @@ from lunarsim.simulation.flight_files import (
     read_trajectory,
     reading,
 )
-from lunarsim.simulation.map_record import MapRecord
-from lunarsim.simulation.map_remarks import map_remarks_by_mapper
+from lunarsim.simulation.map_record import MapRecord, map_remarks_by_mapper
 from lunarsim.typing import Array
 from lunarsim.vehicle.touchdown import LandingOutcome, Touchdown
 

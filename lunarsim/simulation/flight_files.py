@@ -22,11 +22,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 from lunarsim.core.touchdown import VALUES
 from lunarsim.errors import InputError, error_reason
 from lunarsim.grid import Grid
-from lunarsim.json_files import read_json
 from lunarsim.scenario.errors import plain_problem
 from lunarsim.scenario.files import parsed_toml
 from lunarsim.typing import Array
-from lunarsim.untrusted_folders import check_no_links
+from lunarsim.untrusted_files import check_no_links, read_json
 
 # Maximum decompressed size of a table or layer, bytes. A flight of three hours has 25 MB.
 MAX_EXPANDED_BYTES = 2**28

@@ -14,10 +14,10 @@ from lunarsim.frames import attitude_from_thrust, quat_from_rotation_vector, qua
 from lunarsim.messages.briefing import Briefing, FlightSoftware, InitialStateEstimate
 from lunarsim.models.gravity import UniformGravity
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.component_errors import checked_command
 from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.onboard.result_checks import checked_command
 from lunarsim.rng import RandomStreams
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.mission import InitialUncertainty, PlannedSite, Start

@@ -16,7 +16,7 @@ from lunarsim.frames import quat_rotate
 from lunarsim.messages.commands import Command, SensorTask
 from lunarsim.messages.measurements import InertialSamples, Measurements
 from lunarsim.models.gimbal import limit_mount
-from lunarsim.onboard.result_checks import wrong_result_error
+from lunarsim.onboard.component_errors import wrong_result_error
 from lunarsim.sensors.imu import Imu
 from lunarsim.sensors.interface import Sensor, SensorPart
 from lunarsim.typing import Array

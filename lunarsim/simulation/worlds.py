@@ -1,11 +1,14 @@
-"""Build the true world of a flight from the scenario."""
+"""Build the true world of a flight from the scenario, or again from its record."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from lunarsim.rng import RandomStreams
 from lunarsim.scenario import Scenario
+from lunarsim.simulation.flight import Flight
 from lunarsim.world import World
 from lunarsim.world.terrain import Terrain
 from lunarsim.world.terrain_models.interface import check_terrain_size
@@ -41,3 +44,9 @@ def build_world(
     if moon is not None and scenario.far_terrain is not None:
         about = scenario.far_terrain.make().build(terrain, moon, streams)
     return World(terrain, scenario.gravity_m_s2, light, moon, about)
+
+
+def rebuild_world(flight: Flight) -> World:
+    """Generate the true world of a recorded flight again, from scenario and seed."""
+    seed = np.random.SeedSequence(flight.seed["entropy"], spawn_key=tuple(flight.seed["spawn_key"]))
+    return build_world(Scenario.world_from_toml(flight.scenario), RandomStreams(seed))

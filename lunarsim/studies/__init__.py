@@ -1,8 +1,8 @@
 """Studies: measure cases, keep their results, and report them."""
 
-from lunarsim.studies.arrays import pack_array, unpack_array
 from lunarsim.studies.command import report_study, run_script, run_study
 from lunarsim.studies.report import Metric, Report, metric_table
+from lunarsim.studies.results import pack_array, unpack_array
 from lunarsim.studies.study import Case, Study
 
 __all__ = [

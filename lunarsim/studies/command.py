@@ -10,8 +10,8 @@ from typing import Any
 import click
 from rich.console import Console
 
-from lunarsim.campaign.files import IGNORED_DIFFERENCES
 from lunarsim.campaign.pool import iterate_results
+from lunarsim.campaign.provenance import IGNORED_DIFFERENCES
 from lunarsim.console import plain_console, plain_progress
 from lunarsim.errors import InputError
 from lunarsim.scenario.shipped import folder

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import ast
+import base64
+import io
 import json
 import os
 import shlex
 import subprocess
 import sys
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import lunarsim
 from lunarsim.atomic_files import atomic_write_text
-from lunarsim.campaign.files import bytes_digest, code_digest, environment
+from lunarsim.campaign.provenance import bytes_digest, code_digest, environment
 from lunarsim.errors import InputError, error_reason
 
 JOURNAL = "journal.jsonl"
@@ -169,3 +173,16 @@ def read_results(folder: Path, name: str) -> dict[str, Any]:
             "Run the study with --out.",
         ) from None  # fmt: skip
     return found
+
+
+def pack_array(array: NDArray[Any]) -> str:
+    """Return an array of numbers or booleans as compressed text, for a row of a study."""
+    file = io.BytesIO()
+    np.save(file, array, allow_pickle=False)
+    return base64.b64encode(zlib.compress(file.getvalue())).decode("ascii")
+
+
+def unpack_array(text: str) -> NDArray[Any]:
+    """Return the array in a text of `pack_array`, with equal values and type."""
+    data = zlib.decompress(base64.b64decode(text))
+    return np.asarray(np.load(io.BytesIO(data), allow_pickle=False))

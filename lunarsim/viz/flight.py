@@ -9,10 +9,10 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from lunarsim.evaluation.world_reconstruction import rebuild_world
 from lunarsim.models.lander import Lander
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.flight import Flight
+from lunarsim.simulation.worlds import rebuild_world
 from lunarsim.viz.descent import draw_descent
 from lunarsim.viz.footprint import draw_footprint
 from lunarsim.viz.map_bounds import map_figure_bounds

@@ -14,12 +14,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 
 from lunarsim.evaluation.flight_metrics import initial_aim_point
+from lunarsim.evaluation.reach import decision_rows, reach_at_row
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.simulation.flight import Flight
-from lunarsim.simulation.map_remarks import map_remarks_by_mapper
+from lunarsim.simulation.map_record import map_remarks_by_mapper
 from lunarsim.viz.map_bounds import divert_segments, map_figure_bounds
-from lunarsim.viz.reach import draw_reach
 from lunarsim.viz.style import COLOURS, flight_title, hillshade, map_axes, new_figure, save, show
 from lunarsim.world import World
 from lunarsim.world.truth import TerrainTruth
@@ -38,6 +38,10 @@ _DIVERT_COLOUR = COLOURS[3]
 _LINE_LENGTH = {True: 34, False: 60}
 # Maximum number of cells along a side of a raster, above the pixels of a panel.
 _MAX_CELLS = 1500
+# Number of cells along the longer side of the grid for the area in reach.
+_REACH_CELLS = 100
+# White under the black line, visible on dark and bright terrain.
+_REACH_LINES = (("first", "-"), ("last", ":"))
 
 
 def _draw_path_and_diverts(axes: Any, flight: Flight, radius: float) -> None:
@@ -210,3 +214,41 @@ def _legend() -> list[Any]:
         Patch(color="#D55E00", label="truly unsafe"),
         Patch(color="#bbbbbb", label="edge of the terrain"),
     ]
+
+
+def draw_reach(panel: Any, flight: Flight, extent: tuple[float, float, float, float]) -> list[Any]:
+    """Draw outlines of the area in reach at the first and the last possible decision.
+
+    The function returns the legend entries; they are empty if no decision was possible. An outline
+    is omitted if none or all of the panel is in reach.
+
+    Parameters
+    ----------
+    panel
+        Axes of a map in the true frame.
+    flight
+        Record of the flight.
+    extent
+        West, east, south and north edges of the panel, m.
+    """
+    rows = decision_rows(flight)
+    if rows is None:
+        return []
+    west, east, south, north = extent
+    width, height = east - west, north - south
+    middle = (0.5 * (west + east), 0.5 * (south + north))
+    grid = Grid.centred(middle, width, max(width, height) / _REACH_CELLS, height)
+    handles = []
+    for row, (when, style) in zip(rows, _REACH_LINES, strict=True):
+        within = reach_at_row(flight, row, grid.moved(flight.map_error)).reachable
+        # Rounded down, so that 100 % means the entire map.
+        share = f"{np.floor(1000.0 * within.mean()) / 10.0:g} % of this map"
+        label = f"reachable at the {when} decision: {share}"
+        handles.append(Line2D([], [], color="black", ls=style, lw=1.6, label=label))
+        if within.any() and not within.all():
+            for colour, wide in (("white", 3.0), ("black", 1.4)):
+                panel.contour(
+                    grid.x, grid.y, within.astype(np.float64), levels=[0.5], colors=colour,
+                    linewidths=wide, linestyles="-" if colour == "white" else style,
+                )  # fmt: skip
+    return handles

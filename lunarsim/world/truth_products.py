@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.atomic_netcdf import atomic_write_netcdf
+from lunarsim.atomic_files import atomic_write_netcdf
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid, check_raster_size
 from lunarsim.models.lander import Lander

@@ -12,8 +12,8 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from lunarsim.campaign.files import bytes_digest
 from lunarsim.campaign.manifest import with_digest
+from lunarsim.campaign.provenance import bytes_digest
 from lunarsim.campaign.results import load_results
 from lunarsim.errors import InputError
 from tests.campaign.driver import drive

@@ -13,8 +13,7 @@ from lunarsim.campaign.cache import CacheWarning, DiskCache, open_cache
 from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.engines.local import LocalEngine
 from lunarsim.campaign.flight_execution import build_plan
-from lunarsim.campaign.fly_spec import fly_spec
-from lunarsim.campaign.kernel_compilation import compile_kernels
+from lunarsim.campaign.fly_spec import compile_kernels, fly_spec
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.campaign.world_truth import WorldTruthProvider
 from lunarsim.cli_common import open_cache as open_command_cache

@@ -19,8 +19,8 @@ from click.testing import CliRunner
 from lunarsim.campaign import store
 from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.results import load_results
+from lunarsim.campaign.run import IntervalWidthRule
 from lunarsim.campaign.run import run as fly
-from lunarsim.campaign.stopping import IntervalWidthRule
 from lunarsim.cli import main
 from lunarsim.evaluation.sequences import share_confidence_sequence
 from lunarsim.scenario import Scenario

@@ -18,12 +18,11 @@ from lunarsim.campaign.dispersions import world_index
 from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.flight_execution import build_plan
 from lunarsim.campaign.plan import Work
-from lunarsim.campaign.plan_file import write_plan
 from lunarsim.campaign.rare_failures import estimate_failure_shares
 from lunarsim.campaign.results import load_results
-from lunarsim.campaign.run import run
+from lunarsim.campaign.rows import write_plan
+from lunarsim.campaign.run import IntervalWidthRule, run
 from lunarsim.campaign.spec import CampaignSpec
-from lunarsim.campaign.stopping import IntervalWidthRule
 from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.rng import flight_seed

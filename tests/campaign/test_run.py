@@ -19,8 +19,7 @@ from lunarsim.campaign.engines.local import LocalEngine, WorkerStartError
 from lunarsim.campaign.outcomes import FLOWN, Finished
 from lunarsim.campaign.plan import Work
 from lunarsim.campaign.results import load_results, read_status
-from lunarsim.campaign.run import run
-from lunarsim.campaign.stopping import IntervalWidthRule
+from lunarsim.campaign.run import IntervalWidthRule, run
 from lunarsim.campaign.store import Store
 from lunarsim.errors import InputError
 from lunarsim.evaluation.sequences import share_confidence_sequence

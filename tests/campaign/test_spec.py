@@ -11,7 +11,8 @@ import pytest
 from click.testing import CliRunner
 from scipy.stats import kstest, kstwo, norm, truncnorm, uniform
 
-from lunarsim.campaign.dispersions import Dispersions, distribution
+from lunarsim.campaign.dispersions import Dispersions
+from lunarsim.campaign.distributions import distribution
 from lunarsim.campaign.factors import parse_factors, split_changes
 from lunarsim.campaign.flight_execution import build_plan
 from lunarsim.campaign.spec import CampaignSpec

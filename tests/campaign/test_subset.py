@@ -13,16 +13,16 @@ from scipy.stats import norm
 from lunarsim.campaign.analysis import compute_arm_statistics
 from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.outcomes import attempt, import_function
-from lunarsim.campaign.rare_failures import estimate_failure_shares
+from lunarsim.campaign.rare_failures import (
+    estimate_failure_probability,
+    estimate_failure_shares,
+    level_variance,
+    load_chains,
+)
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.campaign.subset import SubsetLevel
-from lunarsim.campaign.subset_estimate import (
-    estimate_failure_probability,
-    level_variance,
-    load_chains,
-)
 from lunarsim.cli import main
 from lunarsim.errors import InputError
 from tests.campaign.limit_states import BETA, EAST

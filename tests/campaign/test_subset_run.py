@@ -12,13 +12,11 @@ import pytest
 from lunarsim.campaign import store
 from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.engines.local import LocalEngine
-from lunarsim.campaign.flight_execution import build_plan
+from lunarsim.campaign.flight_execution import build_plan, replay
 from lunarsim.campaign.fly_spec import write_files
-from lunarsim.campaign.rare_failures import estimate_failure_shares
-from lunarsim.campaign.replay import replay
+from lunarsim.campaign.rare_failures import estimate_failure_shares, load_chains
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
-from lunarsim.campaign.subset_estimate import load_chains
 from lunarsim.errors import InputError
 from tests.campaign.processes import journalled, parts, start
 from tests.campaign.subset_surrogate import planned, spec

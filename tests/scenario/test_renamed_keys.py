@@ -9,7 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 import lunarsim
-from lunarsim.campaign.dispersions import Dispersions, Uniform
+from lunarsim.campaign.dispersions import Dispersions
+from lunarsim.campaign.distributions import Uniform
 from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.rng import RandomStreams, flight_seed

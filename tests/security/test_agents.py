@@ -15,11 +15,11 @@ import pytest
 from click.testing import CliRunner
 
 import lunarsim_envs  # noqa: F401  (registers the environments)
-from lunarsim.array_files import read_arrays
 from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.optimal_network import OptimalNetwork
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap
+from lunarsim.untrusted_files import read_arrays
 from lunarsim_envs.agents.registry import agent_of
 from lunarsim_envs.agents.sb3_agents import Sb3Agent
 from lunarsim_envs.sites.surrogate import Surrogate

@@ -16,10 +16,10 @@ from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.run import run
 from lunarsim.cli import main
 from lunarsim.errors import InputError
-from lunarsim.evaluation.world_reconstruction import rebuild_world
 from lunarsim.parts import allow_modules
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
+from lunarsim.simulation.worlds import rebuild_world
 from lunarsim.viz.style import flight_title
 from tests.campaign.surrogate import plan as surrogate_plan
 from tests.security.strange_parts import SOURCE

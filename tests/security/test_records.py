@@ -17,7 +17,7 @@ from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.flight_files import digest_of
-from lunarsim.simulation.map_remarks import map_remarks_by_mapper
+from lunarsim.simulation.map_record import map_remarks_by_mapper
 from tests.security import fuzz
 from tests.worlds import TINY_FLIGHT
 

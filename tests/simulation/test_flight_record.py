@@ -12,10 +12,10 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.evaluation.flight_metrics import evaluate, initial_aim_point
-from lunarsim.evaluation.world_reconstruction import rebuild_world
 from lunarsim.onboard.policies import Decision
 from lunarsim.rng import flight_seed
 from lunarsim.simulation import Flight, Simulation
+from lunarsim.simulation.worlds import rebuild_world
 from lunarsim.viz import draw_flight
 from lunarsim.world.truth import TerrainTruth
 

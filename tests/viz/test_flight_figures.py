@@ -12,7 +12,7 @@ from lunarsim.rng import flight_seed
 from lunarsim.rocks.field import RockField
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim.simulation.map_remarks import map_remark
+from lunarsim.simulation.map_record import map_remark
 from lunarsim.viz import draw_comparison, draw_flight
 from lunarsim.viz.comparison import paired_differences
 from lunarsim.viz.footprint import draw_footprint

@@ -17,9 +17,8 @@ from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.viz import maps, truth_in_map_figure
-from lunarsim.viz import reach as viz_reach
 from lunarsim.viz.map_bounds import map_figure_bounds
-from lunarsim.viz.reach import draw_reach
+from lunarsim.viz.maps import draw_reach
 from lunarsim.viz.style import new_figure
 from lunarsim.world import World
 from lunarsim.world.terrain import Heightfield, Terrain
@@ -244,7 +243,7 @@ def test_reach_is_surveyed_where_the_panel_is_and_on_the_mapped_terrain(flown, m
         asked.append(grid)
         return reach_at_row(flight, row, grid)
 
-    monkeypatch.setattr(viz_reach, "reach_at_row", spied)
+    monkeypatch.setattr(maps, "reach_at_row", spied)
     draw_reach(new_figure(4.0, 4.0).subplots(), record, (-90.0, 30.0, -20.0, 40.0))
     assert len(asked) == 2
     for grid in asked:

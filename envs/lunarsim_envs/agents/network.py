@@ -10,9 +10,9 @@ import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim.array_files import read_arrays
-from lunarsim.atomic_arrays import atomic_write_arrays
+from lunarsim.atomic_files import atomic_write_arrays
 from lunarsim.errors import InputError, error_reason
+from lunarsim.untrusted_files import read_arrays
 from lunarsim_envs.agents.agent_interface import incompatible_agent_error
 from lunarsim_envs.descent.env import DescentEnv
 

@@ -9,10 +9,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from lunarsim.array_files import read_arrays
-from lunarsim.atomic_arrays import atomic_write_arrays
+from lunarsim.atomic_files import atomic_write_arrays
 from lunarsim.errors import InputError, error_reason
 from lunarsim.typing import Array, BoolArray, IntArray
+from lunarsim.untrusted_files import read_arrays
 from lunarsim_envs.agents.agent_interface import check_sites, incompatible_agent_error
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.sites.observations import SITES

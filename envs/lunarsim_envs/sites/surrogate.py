@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.array_files import read_arrays
-from lunarsim.atomic_arrays import atomic_write_arrays
+from lunarsim.atomic_files import atomic_write_arrays
 from lunarsim.errors import InputError, error_reason
 from lunarsim.scenario import Scenario
 from lunarsim.typing import Array
+from lunarsim.untrusted_files import read_arrays
 from lunarsim_envs.sites import hazard
 from lunarsim_envs.sites._map_kernels import MapErrorModel
 from lunarsim_envs.sites.field_of_view import deciding_mapper

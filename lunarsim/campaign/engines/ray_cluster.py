@@ -15,9 +15,9 @@ from types import FrameType
 from typing import Any, NoReturn
 
 from lunarsim.campaign.engines.worker import limit_to_one_thread
-from lunarsim.campaign.files import code_digest, environment, environment_differences
 from lunarsim.campaign.outcomes import KILLED, TIMEOUT, Finished, attempt, import_function
 from lunarsim.campaign.plan import Group, Work
+from lunarsim.campaign.provenance import code_digest, environment, environment_differences
 from lunarsim.errors import InputError, missing_package
 
 # Maximum time until an interrupt is noticed, s.

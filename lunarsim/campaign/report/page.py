@@ -15,7 +15,13 @@ import pyarrow.compute as pc
 import lunarsim
 from lunarsim.atomic_files import atomic_write_text
 from lunarsim.campaign.analysis import ArmStatistics, column, compute_arm_statistics, differences
-from lunarsim.campaign.rare_failures import RareFailureEstimate, estimate_failure_shares
+from lunarsim.campaign.rare_failures import (
+    RareFailureEstimate,
+    completion_remark,
+    estimate_failure_shares,
+    level_table_rows,
+    load_chains,
+)
 from lunarsim.campaign.report.figures import (
     differences_plot,
     landings_plot,
@@ -28,10 +34,9 @@ from lunarsim.campaign.report.figures import (
 )
 from lunarsim.campaign.results import Results, failures, load_results
 from lunarsim.campaign.sensitivity import Sensitivity, sensitivities
-from lunarsim.campaign.subset_estimate import completion_remark, level_table_rows, load_chains
 from lunarsim.errors import InputError, check_output, missing_package
 from lunarsim.evaluation.sequences import share_confidence_sequence
-from lunarsim.untrusted_folders import read_bounded_bytes
+from lunarsim.untrusted_files import read_bounded_bytes
 
 # Number of worst flights listed per arm.
 _LISTED_PER_ARM = 5

@@ -10,7 +10,7 @@ from lunarsim.grid import Grid
 from lunarsim.rng import RandomStreams, flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import build_world
-from lunarsim.untrusted_folders import read_bounded_bytes
+from lunarsim.untrusted_files import read_bounded_bytes
 from lunarsim.viz.style import hillshade
 from lunarsim.world.terrain import Terrain
 

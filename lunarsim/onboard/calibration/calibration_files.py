@@ -10,8 +10,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-from lunarsim.atomic_files import atomic_write_text, read_json_with_format
+from lunarsim.atomic_files import atomic_write_text
 from lunarsim.errors import InputError
+from lunarsim.untrusted_files import read_json
 
 
 def check_number(key: str, value: object) -> float:
@@ -114,8 +115,16 @@ class StoredCalibration(ABC):
         InputError
             If the file is missing, has another format, or contains an invalid value.
         """
-        hint = f" written by {cls.writer}"
-        data = read_json_with_format(path, "calibration", cls.file_format, hint)
+        field, file, hint = "calibration", str(path), f" written by {cls.writer}"
+        if not path.is_file():
+            raise InputError(field, file, f"does not exist, but must be a file{hint}")
+        try:
+            data = read_json(path)
+        except ValueError as error:
+            raise InputError(field, file, f"must be a JSON file{hint} ({error})") from None
+        if not isinstance(data, dict) or data.get("format") != cls.file_format:
+            wanted = f"must be a file{hint} with format = {cls.file_format!r}"
+            raise InputError(field, file, wanted)
         return cls._parsed(CalibrationTable(data, cls.writer))
 
     @classmethod

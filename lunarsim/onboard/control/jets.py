@@ -10,11 +10,11 @@ from lunarsim._frame_kernels import rotation_vector_between
 from lunarsim.frames import quat_multiply
 from lunarsim.messages.commands import Command
 from lunarsim.models.jet_lander import JetLander
+from lunarsim.onboard.component_errors import checked_vector
 from lunarsim.onboard.control.allocation import ThrusterAllocation
 from lunarsim.onboard.control.contract import AttitudeControl
 from lunarsim.onboard.control.loop import AttitudeLoop
 from lunarsim.onboard.control.thruster_failure_detector import ThrusterFailureDetector
-from lunarsim.onboard.result_checks import checked_vector
 from lunarsim.typing import Array
 
 # Default time between thruster commands for laws without a `period`, s.

@@ -7,10 +7,10 @@ import numpy as np
 from lunarsim._frame_kernels import rotation_vector_between
 from lunarsim.messages.commands import Command
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.component_errors import checked_vector
 from lunarsim.onboard.control import _kernels as k
 from lunarsim.onboard.control.attitude import ProportionalDerivative
 from lunarsim.onboard.control.contract import AttitudeControl
-from lunarsim.onboard.result_checks import checked_vector
 from lunarsim.typing import Array
 
 

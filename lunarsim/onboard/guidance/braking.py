@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from lunarsim.errors import InputError
 from lunarsim.messages.commands import Command
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.component_errors import checked_command
 from lunarsim.onboard.control.thrust import (
     thrust_along,
     thrust_lift_first,
@@ -19,7 +20,6 @@ from lunarsim.onboard.control.thrust import (
 from lunarsim.onboard.guidance.apollo import time_to_go_for_jerk
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.onboard.result_checks import checked_command
 from lunarsim.parts import resolve, settings_of
 from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.typing import Array

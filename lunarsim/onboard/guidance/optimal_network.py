@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lunarsim.array_files import read_arrays
-from lunarsim.atomic_arrays import atomic_write_arrays
+from lunarsim.atomic_files import atomic_write_arrays
 from lunarsim.errors import InputError
 from lunarsim.typing import Array
+from lunarsim.untrusted_files import read_arrays
 
 DEFAULT_NETWORK_PATH = Path(__file__).parent / "trained" / "optimal.npz"
 INPUTS, OUTPUTS = 6, 4  # number of network inputs and outputs

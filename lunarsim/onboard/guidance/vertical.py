@@ -1,4 +1,4 @@
-"""Vertical descent at constant speed, the last phase before touchdown."""
+"""Vertical descent, the last phase before touchdown, and climb after an abort."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 # Maximum product of the position loop's frequency and the vehicle's lag.
 _MAX_FREQUENCY_LAG = 0.33
+# Fraction of the horizontal velocity that a climb removes per second.
+_CLIMB_DAMPING_PER_S = 0.2
 
 
 class TerminalDescentLaw(Protocol):
@@ -194,3 +196,24 @@ def descent_law(settings: Any, briefing: Any, lag: float) -> TerminalDescentLaw:
         briefing, lag
     )
     return law
+
+
+def climb(estimate: Estimate, max_acceleration: float) -> Array:
+    """Return the thrust acceleration (3,), ENU, m/s^2, of a full-thrust climb.
+
+    A part of the thrust removes the horizontal velocity.
+
+    Parameters
+    ----------
+    estimate
+        Estimated state.
+    max_acceleration
+        Maximum thrust divided by mass, m/s^2.
+    """
+    require_finite_state(estimate)
+    horizontal = -_CLIMB_DAMPING_PER_S * estimate.velocity[:2]
+    size = float(np.hypot(*horizontal))
+    if size > 0.5 * max_acceleration:
+        horizontal = horizontal * (0.5 * max_acceleration / size)
+    up = np.sqrt(max_acceleration**2 - float(horizontal @ horizontal))
+    return np.array([horizontal[0], horizontal[1], up])

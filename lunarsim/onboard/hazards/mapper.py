@@ -1,4 +1,4 @@
-"""Interfaces of hazard mappers and of their settings."""
+"""Interfaces of hazard mappers and of their settings; mappers of one flight."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid, check_raster_size
 from lunarsim.messages.briefing import Briefing
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.error_prefix import prefix_input_errors
+from lunarsim.onboard.component_errors import prefix_input_errors, wrong_result_error
 from lunarsim.onboard.hazards.hazard_map import HazardMap, TerrainSurface
 from lunarsim.onboard.hazards.map_evidence import FusionEvidence
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
-from lunarsim.onboard.result_checks import wrong_result_error
 from lunarsim.typing import Array
 
 # Tilt uncertainty (rad, 1 sigma) below which maps are not corrected: 4 cm of height at 50 m.
@@ -291,3 +290,33 @@ def checked_hazard_map(name: str, part: object, mapper: HazardMapper, time: floa
     if not isinstance(found, HazardMap):
         raise wrong_result_error(table, part, "hazard_map", found, "a HazardMap", time)
     return found
+
+
+def build_mappers(briefing: Briefing, navigation: Navigation) -> dict[str, HazardMapper]:
+    """Build all mappers of a flight; return them by name, in the briefing's order.
+
+    Mappers that use other mappers are built after them. `navigation` is the navigation filter of
+    the flight.
+
+    Raises
+    ------
+    InputError
+        If a mapper cannot be built; the error names it.
+    """
+    parts, mappers = briefing.software.mappers, dict[str, HazardMapper]()
+    for name, part in sorted(parts.items(), key=lambda item: _build_stage(item[1])):
+        others = (mappers,) if _build_stage(part) else ()
+        with prefix_input_errors(f"mappers.{name}"):
+            mappers[name] = part.build(briefing, navigation, *others)
+    return {name: mappers[name] for name in parts}
+
+
+def _build_stage(part: Any) -> int:
+    """Return the build order of a mapper from its settings: 0 is built first.
+
+    2 for a mapper that fuses others (`inputs`), 1 for a mapper that uses the elevations of another
+    (`terrain_mapper`), otherwise 0.
+    """
+    if hasattr(part, "inputs"):
+        return 2
+    return 1 if getattr(part, "terrain_mapper", "") else 0

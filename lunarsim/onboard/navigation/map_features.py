@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lunarsim.errors import InputError
+from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation import _registration_kernels as k
 from lunarsim.typing import Array, BoolArray, IntArray
 
 # Minimum known fraction of the square around a grid point.
 _MIN_KNOWN_SHARE = 0.6
+# Side of the terrain seen by a lander without a sweep, approximate, m.
+_DEFAULT_SWEEP_M = 40.0
 
 
 def subtract_plane(height: Array, known: BoolArray, reach: int) -> tuple[Array, BoolArray]:
@@ -319,6 +322,21 @@ class LockForecast:
             f"({east:+.0f} m east, {north:+.0f} m north): {self.expected:.0f} expected, "
             f"{self.needed:.0f} needed"
         )
+
+
+def lock_forecast(briefing: Briefing) -> LockForecast | None:
+    """Forecast whether LiDAR scans will match the prior map at one place only.
+
+    `briefing` has the data known before flight. Return None if navigation uses no prior map.
+    """
+    software = briefing.software
+    if briefing.prior_map is None or not software.navigation.uses_prior_map:
+        return None
+    sizes = [float(getattr(part, "size", 0.0)) for part in software.tasking.values()]
+    swept = max(sizes, default=0.0) or _DEFAULT_SWEEP_M
+    east, north = (float(v) for v in briefing.target[:2])
+    sigma = max(briefing.start.position_sigma, briefing.prior_map.grid.posting)
+    return forecast_lock(briefing.prior_map, (east, north), swept, sigma)
 
 
 def forecast_lock(

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lunarsim.atomic_arrays import atomic_write_arrays
+from lunarsim.atomic_files import atomic_write_arrays
 from lunarsim.typing import Array
 from lunarsim.user_cache import user_cache
 

@@ -9,11 +9,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from lunarsim.errors import InputError
+from lunarsim.onboard.component_errors import checked_vector, wrong_result_error
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.reachability import ReachabilityMap
-from lunarsim.onboard.result_checks import checked_vector, wrong_result_error
 from lunarsim.typing import Array, BoolArray
 from lunarsim.value_checks import check_elements
 

@@ -8,8 +8,13 @@ from numpy.typing import NDArray
 
 from lunarsim.sensors.rendering import _tile_kernels as kernels
 from lunarsim.sensors.rendering.programs import CORNERS, float_texture, tile_mesh
-from lunarsim.sensors.rendering.relief_tiles import BLOCKS, LEVELS, SIDE, ReliefTiles
-from lunarsim.sensors.rendering.shadow_caster_blocks import ShadowCasterBlocks
+from lunarsim.sensors.rendering.relief_tiles import (
+    BLOCKS,
+    LEVELS,
+    SIDE,
+    ReliefTiles,
+    ShadowCasterBlocks,
+)
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.world.terrain import Heightfield

@@ -15,12 +15,11 @@ from scipy.integrate import solve_ivp
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.braking import Braking
-from lunarsim.onboard.guidance.climb import climb
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.gravity_turn import GravityTurn, gravity_turn_thrust
 from lunarsim.onboard.guidance.rate_of_descent import RateOfDescent
 from lunarsim.onboard.guidance.velocity_null import VelocityNull
-from lunarsim.onboard.guidance.vertical import VerticalDescent
+from lunarsim.onboard.guidance.vertical import VerticalDescent, climb
 from lunarsim.onboard.navigation.estimate import Estimate
 
 G = 1.622

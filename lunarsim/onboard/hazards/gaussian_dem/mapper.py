@@ -20,6 +20,7 @@ from lunarsim.onboard.hazards.gaussian_dem.pooled import PooledDem, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.hazards.hazard_map import HazardMap, TerrainSurface
 from lunarsim.onboard.hazards.map_evidence import TerrainEvidence
+from lunarsim.onboard.hazards.map_tilt_correction import UnleveledScans
 from lunarsim.onboard.hazards.map_update_timer import MapUpdateTimer
 from lunarsim.onboard.hazards.mapper import (
     HazardMapper,
@@ -27,7 +28,6 @@ from lunarsim.onboard.hazards.mapper import (
     is_off_centre,
     map_grid,
 )
-from lunarsim.onboard.hazards.unleveled_scans import UnleveledScans
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.rocks.population import RockExpectation

@@ -20,7 +20,7 @@ from lunarsim.onboard.hazards.gaussian_dem.conventional import (
     check_points,
     finite_rows,
 )
-from lunarsim.onboard.hazards.unleveled_scans import rotate_about
+from lunarsim.onboard.hazards.map_tilt_correction import rotate_about
 from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.value_checks import as_real_array, check_finite, check_shape
 

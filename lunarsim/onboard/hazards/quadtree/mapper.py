@@ -18,13 +18,13 @@ from lunarsim.onboard.calibration.calibrated_safety import calibrated_safety
 from lunarsim.onboard.calibration.ensemble import Ensemble
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
 from lunarsim.onboard.hazards.map_evidence import TerrainEvidence
+from lunarsim.onboard.hazards.map_tilt_correction import UnleveledScans, rotate_about
 from lunarsim.onboard.hazards.mapper import HazardMapper, is_off_centre, map_grid
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
 from lunarsim.onboard.hazards.quadtree.site_evidence import quadtree_site_evidence
 from lunarsim.onboard.hazards.quadtree.sites import SITE_STATUS, SiteSelection, SiteSelector
 from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
-from lunarsim.onboard.hazards.unleveled_scans import UnleveledScans, rotate_about
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import quantity
 from lunarsim.rocks.population import RockExpectation

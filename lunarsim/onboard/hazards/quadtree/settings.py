@@ -8,11 +8,11 @@ from typing import Literal
 
 import numpy as np
 
-from lunarsim.array_files import read_arrays
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.typing import Array
+from lunarsim.untrusted_files import read_arrays
 from lunarsim.value_checks import check_elements, check_shape
 
 

@@ -7,9 +7,8 @@ from lunarsim.frames import sensor_axes
 from lunarsim.grid import Grid
 from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendering import _tile_kernels as kernels
-from lunarsim.sensors.rendering.relief_tiles import ReliefTiles, level_mesh
+from lunarsim.sensors.rendering.relief_tiles import ReliefTiles, ShadowCasterBlocks, level_mesh
 from lunarsim.sensors.rendering.renderer import Renderer
-from lunarsim.sensors.rendering.shadow_caster_blocks import ShadowCasterBlocks
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief
 from tests.reference import rendering as plain

@@ -22,8 +22,8 @@ from lunarsim.onboard.calibration.scenario_calibration import (
 from lunarsim.onboard.calibration.stage import CalibrationStage
 from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper, gaussian_dem
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
+from lunarsim.onboard.hazards.map_tilt_correction import UnleveledScans
 from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
-from lunarsim.onboard.hazards.unleveled_scans import UnleveledScans
 from lunarsim.onboard.navigation import Estimate
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.sensors.lidar import FlashLidar

@@ -13,7 +13,7 @@ from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import CameraImage
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.mapper_factory import build_mappers
+from lunarsim.onboard.hazards.mapper import build_mappers
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
 from lunarsim.onboard.hazards.shadows.mapping import ShadowMapping
 from lunarsim.onboard.hazards.shadows.terrain_errors import (

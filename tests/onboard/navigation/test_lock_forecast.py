@@ -5,9 +5,9 @@ from __future__ import annotations
 from click.testing import CliRunner
 
 from lunarsim.cli import main
+from lunarsim.onboard.navigation.map_features import lock_forecast
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim.simulation.lock_forecast import lock_forecast
 from tests.worlds import SCENARIOS
 
 

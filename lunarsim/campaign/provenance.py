@@ -1,10 +1,9 @@
-"""Write JSON files atomically; identify the code and packages behind results."""
+"""Identify the code, files, packages and machine behind results."""
 
 from __future__ import annotations
 
 import hashlib
 import importlib.metadata
-import json
 import os
 import platform
 import sys
@@ -16,7 +15,6 @@ from typing import Any
 from llvmlite.binding import get_host_cpu_name
 
 import lunarsim
-from lunarsim.atomic_files import atomic_write_text
 
 # Packages whose versions may change results.
 _PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "casadi", "opencv-python-headless", "moderngl",
@@ -25,11 +23,6 @@ _PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "casadi", "opencv-python-hea
 # Differences that do not prevent resuming a campaign. Processors round differently, but only
 # recording this keeps clusters of different machines usable.
 IGNORED_DIFFERENCES = ("python", "cores", "processor")
-
-
-def write_json(path: Path, data: Mapping[str, Any]) -> None:
-    """Write nested data to a JSON file atomically."""
-    atomic_write_text(path, json.dumps(data, indent=1) + "\n")
 
 
 def bytes_digest(data: bytes) -> str:
