@@ -33,6 +33,7 @@ from lunarsim.cli_scenario import parts, scenario
 from lunarsim.cli_start import INTERRUPTED, run
 from lunarsim.cli_study import study
 from lunarsim.cli_terrain import terrain
+from lunarsim.cli_vehicle import vehicle
 from lunarsim.errors import InputError, check_folder, check_output
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def main() -> None:
     """  # noqa: D301  (click wants the character itself)
 
 
-for _command in (campaign, sweep, replay, terrain, scenario, parts, evaluate, study):
+for _command in (campaign, sweep, replay, terrain, scenario, vehicle, parts, evaluate, study):
     main.add_command(_command)
 
 

@@ -44,9 +44,10 @@ def check(scenario: Path, changes: tuple[str, ...]) -> None:
     """Check SCENARIO and print it with all default values.
 
     SCENARIO is a TOML file or a name from `lunarsim scenario list`. The command also reads the
-    terrain files that the scenario names. It prints warnings, and an estimate of memory and time,
-    on stderr.
+    terrain files that the scenario names. It prints warnings, an estimate of memory and time, and
+    the findings of `lunarsim vehicle check`, on stderr.
     """
+    from lunarsim.cli_vehicle import scenario_findings
     from lunarsim.scenario.resource_estimate import estimate
 
     loaded = load_scenario(scenario, changes)
@@ -55,6 +56,8 @@ def check(scenario: Path, changes: tuple[str, ...]) -> None:
     loaded.vehicle.make().check_hover(loaded.gravity_m_s2)
     click.echo(f"estimate: {estimate(loaded)}", err=True)
     click.echo(loaded.to_toml(), nl=False)
+    for line in scenario_findings(loaded):
+        click.echo(line, err=True)
 
 
 @scenario.command("list")

@@ -237,6 +237,14 @@ OWN = {
          ["--size: ", "got nan", "ten times --posting"]),
         ([GOOD, "--out", "t.nc", "--size", "1e9"], ["--size: ", "got 1000000000.0", "EiB"]),
     ],
+    "vehicle check": [
+        ([GOOD, "--json", "x.txt"], ["--json: ", "got 'x.txt'", ".json"]),
+        ([GOOD, "--json", "none/x.json"], ["--json: ", "got 'none/x.json'", "existing folder"]),
+        ([GOOD, "--json", "new.json", "--set", "start.position_m=[-60, 0, 5]"],
+         ["start.position_m[2]: ", "got 5.0", "above 11.6 m"]),
+        (["wrong.toml", "--json", "new.json"], ["sun.elevation_deg: ", "got 95.0"]),
+        ([], ["SCENARIO", "vehicle check --help"]),
+    ],
 }  # fmt: skip
 # The second choice, which the first flight does not draw, is no whole raster.
 DRAWN = """
