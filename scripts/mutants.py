@@ -168,7 +168,7 @@ _TESTS: dict[str, tuple[str, ...]] = {
     ),
     "envs/lunarsim_envs/descent/_reward_kernels.py": (
         "tests/kernels/envs/test_reward_kernels.py",
-        "tests/envs/test_potential.py",
+        "tests/kernels/envs/test_potential.py",
     ),
     "envs/lunarsim_envs/sites/_beyond_kernels.py": (
         "tests/kernels/envs/test_site_choice.py",
