@@ -22,7 +22,7 @@ from lunarsim.typing import Array
 
 # The phase-plane law brakes rotations with half of the authority (`PhasePlane.rate_change`).
 _PHASE_PLANE_SHARE = 0.5
-# Extension of the time-to-go after a late rotation. This factor is chosen, not derived. It separates
+# Extension of the time-to-go after a late rotation. The factor is chosen, not derived. It separates
 # the default thrusters (needed over allowed time: 0.9; they land as safely as ideal attitude
 # control, docs/validation/actuators.md) from a lander of 1.9 t with thrusters of 50 N (1.1), whose
 # attitude oscillates after diverts. A ratio near 1 is therefore no proof in either direction:
