@@ -139,7 +139,8 @@ class Mission:
         path, last = self.approach.path, self.software.decisions.last_altitude
         top, end = float(path.altitude[0]), float(path.altitude[-1])
         if altitudes.at:
-            return tuple(sorted((h for h in altitudes.at if end <= h <= top), reverse=True))
+            # A measurement that is due above the start is made at the start.
+            return tuple(sorted({min(h, top) for h in altitudes.at if h >= end}, reverse=True))
         highest = min(top, float(altitudes.highest))
         lowest = max(end, float(altitudes.lowest), min(last, highest))
         return (highest, lowest) if highest >= lowest else ()
@@ -204,6 +205,9 @@ def _notes(scenario: Scenario, software: FlightSoftware) -> tuple[str, ...]:
         )
     if scenario.moon is not None:
         notes.append("moon: the approach is checked over flat terrain in uniform gravity.")
+    name = decision_mapper(software)
+    if name is not None and not _map_sizes(software, name):
+        notes.append(f"mappers.{name}: states no size_m; diverts are not checked.")
     if scenario.faults is not None:
         notes.append("faults: the lander is checked without faults.")
     return tuple(notes)
@@ -271,6 +275,12 @@ def source_mappers(software: FlightSoftware, name: str) -> tuple[str, ...]:
     return tuple(part.inputs) or tuple(others)
 
 
+def _map_sizes(software: FlightSoftware, name: str) -> list[float]:
+    """Return the sides (m) of the maps behind a mapper, if their settings state them."""
+    sources = [software.mappers[n] for n in source_mappers(software, name)]
+    return [float(s.size) for s in sources if isinstance(getattr(s, "size", None), float | int)]
+
+
 def _edge_of_map(
     scenario: Scenario, software: FlightSoftware, lander: Lander, sensors: Mapping[str, Any]
 ) -> tuple[float, float]:
@@ -284,7 +294,7 @@ def _edge_of_map(
     if name is None or scenario.policy.kind == "no-divert":
         return 0.0, 0.0
     sources = [software.mappers[n] for n in source_mappers(software, name)]
-    sizes = [float(s.size) for s in sources if isinstance(getattr(s, "size", None), float | int)]
+    sizes = _map_sizes(software, name)
     if not sizes:
         return 0.0, 0.0
     highest = [_highest(software.tasking.get(n)) for s in sources for n in sensor_names(s)]
