@@ -480,4 +480,4 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
 
     @cached_property
     def _wet_mass(self) -> float:
-        return float(self.scenario.vehicle.make().wet_mass)
+        return self.scenario.true_lander().wet_mass

@@ -41,7 +41,7 @@ def draw_descent(flight: Flight, path: Path | None = None) -> Figure:
         height_ratios=[0.45, 1.0, 1.0, 1.0, 1.0],
         width_ratios=[1.0, 1.15],
     )
-    lander = Scenario.world_from_toml(flight.scenario).vehicle.make()
+    lander = Scenario.world_from_toml(flight.scenario).true_lander()
     marks = _event_marks(flight)
     _draw_profile(axes["profile"], flight, marks)
     _draw_events(axes["events"], marks)

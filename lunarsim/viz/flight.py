@@ -88,7 +88,7 @@ def plot_flight(
         world = rebuild_world(flight)
     if truth is None:
         truth = truth_in_map_figure(
-            flight, world, Scenario.world_from_toml(flight.scenario).vehicle.make()
+            flight, world, Scenario.world_from_toml(flight.scenario).true_lander()
         )
     landed = flight.outcome.touchdown is not None
     return FlightFigures(

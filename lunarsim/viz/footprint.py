@@ -43,7 +43,7 @@ def draw_footprint(flight: Flight, world: World, path: Path | None = None) -> Fi
     """
     touchdown = flight.outcome.touchdown
     assert touchdown is not None
-    lander = Scenario.world_from_toml(flight.scenario).vehicle.make()
+    lander = Scenario.world_from_toml(flight.scenario).true_lander()
     middle = touchdown.position[:2]
     grid = Grid.centred(middle, 2.0 * _HALF_SIDE_IN_LEG_RADII * lander.leg_radius, _POSTING)
     elevation = world.terrain.raster(grid).astype(np.float64)
