@@ -207,7 +207,8 @@ def settle(legs: Legs, dynamics: Dynamics, state: State, terrain: ElevationModel
     y[14] = 0.0
     leg_states = np.zeros((lander.legs, 5))
     leg_states[:, 2:] = np.nan
-    edge = np.arctan2(lander.leg_radius * np.cos(np.pi / lander.legs), lander.com_height)
+    arm = lander.leg_radius * np.cos(np.pi / lander.legs) + float(np.hypot(*shift[:2]))
+    edge = np.arctan2(arm, lander.com_height + shift[2])
     time = energy = slow = 0.0
     strokes, clearance, tipped = np.zeros(lander.legs), np.inf, False
     rig, figures, inertia = PLAIN_RIG.copy(), dynamics.params, dynamics.inertia

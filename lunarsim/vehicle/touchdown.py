@@ -139,9 +139,9 @@ def evaluate_touchdown(
         points = core.samples_between_legs(legs, TERRAIN_SAMPLE_SPACING_M)
         heights = np.asarray(terrain.elevation(points), dtype=np.float64)
     values = np.empty(len(core.VALUES))
-    failed = core.evaluate_touchdown(
-        state.as_vector(), legs, points, heights, touchdown_params(lander, gravity), values
-    )
+    params = touchdown_params(lander, gravity)
+    params = params._replace(com_height=params.com_height + float(lander.com(state.mass)[2]))
+    failed = core.evaluate_touchdown(state.as_vector(), legs, points, heights, params, values)
     forward = quat_rotate(state.attitude, [1.0, 0.0, 0.0])
     heading = float(np.arctan2(forward[0], forward[1]))
     named = dict(zip(core.VALUES, map(float, values), strict=True))

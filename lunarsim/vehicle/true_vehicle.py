@@ -98,7 +98,8 @@ class VehicleDeviations:
         Raises
         ------
         InputError
-            If the true lander is impossible, for example if it cannot balance its engine.
+            If the true lander is impossible, for example if it cannot balance its engine, or if a
+            custom class of lander cannot be changed.
 
         Examples
         --------
@@ -106,6 +107,8 @@ class VehicleDeviations:
         >>> round(lander.specific_impulse, 2)
         304.78
         """
+        if self == VehicleDeviations():
+            return nominal
         scaled = {
             name: tuple(s * v for s, v in zip(self.inertia_scale, moments, strict=True))
             for name in ("inertia_dry", "inertia_full")
@@ -136,10 +139,16 @@ class VehicleDeviations:
             return replace(nominal, **changes)
         except InputError as error:
             raise InputError(
-                "truth.vehicle", error.field,
-                f"must give a possible lander, but the resulting {error.field} {error.problem}",
-                error.remedy, show_value=False,
+                "truth.vehicle", error.value,
+                f"must give a possible lander, but for its {error.field} {error.problem}",
+                "Decrease the deviations.",
             ) from None  # fmt: skip
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                "truth.vehicle",
+                type(nominal).__name__,
+                f"must be omitted for this class of lander, because its copy fails ({error})",
+            ) from None
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ def draw_comparison(rows: Rows, scenario: Scenario, path: Path) -> None:
         PNG file to write.
     """
     names = list(dict.fromkeys(row["policy"] for row in rows))
-    lander = scenario.vehicle.make()
+    lander = scenario.true_lander()
     figure = new_figure(15, 7.6)
     axes = figure.subplots(2, 5).ravel()
     _draw_safety(axes[0], rows, names)

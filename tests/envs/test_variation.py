@@ -220,3 +220,27 @@ def test_the_nominal_truth_changes_no_bit_of_a_random_flight():
     for _ in range(5):
         seen = [env.step(np.float32([0.1, 0.0, -0.3]))[4]["privileged"] for env in envs]
         assert np.array_equal(*seen)
+
+
+def test_weak_control_torque_turns_the_lander_half_as_fast():
+    rates = []
+    for scale in (1.0, 0.5):
+        env = ControlEnv(changes=LOW | {"truth.vehicle.thruster_scale": scale}, privileged=True)
+        env.reset(seed=3)
+        *_, info = env.step(np.float32([0.0, 0.5, 0.0, 0.0]))
+        rates.append(info["privileged"][10])
+        assert "randomized" not in info or info["randomized"]["torque_effectiveness_x"] == 1.0
+    assert rates[0] != 0.0
+    assert rates[1] == pytest.approx(0.5 * rates[0], rel=1e-3)
+
+
+def test_the_attitude_loop_does_not_know_the_true_inertia():
+    """A lander of half the inertia turns twice as fast under the torques of the known one."""
+    rates = []
+    for scale in (1.0, 0.5):
+        changes = LOW | {"truth.vehicle.inertia_scale": [scale, scale, scale]}
+        env = GuidanceEnv(changes=changes, privileged=True)
+        env.reset(seed=3)
+        *_, info = env.step(np.float32([0.4, 0.0, -0.2]))
+        rates.append(np.abs(info["privileged"][10:13]).max())
+    assert abs(rates[1] - rates[0]) > 0.05 * rates[0]

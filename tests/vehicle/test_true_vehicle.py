@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -10,7 +13,8 @@ from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.lander import STANDARD_GRAVITY, Lander
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim.vehicle import Dynamics, State
+from lunarsim.vehicle import Dynamics, State, evaluate_touchdown
+from lunarsim.vehicle.legs import Legs, settle
 from lunarsim.vehicle.true_vehicle import VehicleDeviations
 from tests.worlds import SMALL_FLIGHT
 
@@ -179,3 +183,36 @@ def test_impossible_deviations_are_refused_with_their_key(small, deviations, fie
 def test_a_lander_that_cannot_balance_its_engine_is_refused(small):
     with pytest.raises(InputError, match=r"^truth\.vehicle: must give a possible lander"):
         small.changed(truth={"vehicle": {"com_offset_m": [0.9, 0.0, 0.0]}}, **JETS)
+
+
+@dataclass(frozen=True)
+class LanderWithComputedMass(Lander):
+    """Lander of a user whose dry mass is not an argument."""
+
+    dry_mass: float = field(init=False, default=900.0)
+
+
+def test_a_class_that_cannot_be_copied_flies_without_deviations_only():
+    nominal = LanderWithComputedMass()
+    assert VehicleDeviations().true_lander(nominal) is nominal
+    with pytest.raises(InputError, match=r"^truth\.vehicle: must be omitted for this class"):
+        VehicleDeviations(thrust_scale=0.9).true_lander(nominal)
+
+
+@pytest.mark.parametrize("offset", [-0.8, 0.8])
+def test_a_high_centre_of_mass_tips_over_as_in_the_lander_built_so(offset):
+    """Horizontal touchdown on level ground at 1.5 m/s: same margin as with that com_height."""
+    terrain = SimpleNamespace(elevation=lambda xy: np.zeros(np.shape(xy)[:-1]))
+    true = VehicleDeviations(com_offset=(0.0, 0.0, offset)).true_lander(Lander())
+    built = replace(Lander(), com_height=Lander().com_height + offset)
+    position = np.array([0.0, 0.0, built.com_height])
+    state = State(position, np.array([1.5, 0.0, -1.0]), UPRIGHT, np.zeros(3), 1200.0, 0.0)
+    margins = [
+        evaluate_touchdown(lander, state, terrain, 1.622).touchdown.tip_margin
+        for lander in (true, built)
+    ]
+    assert margins[0] == pytest.approx(margins[1], rel=1e-9)
+    rest = [
+        settle(Legs(), Dynamics(lander, 1.622), state, terrain).tipped for lander in (true, built)
+    ]
+    assert rest[0] == rest[1]

@@ -170,7 +170,9 @@ class Vehicle(NamedTuple):
     (n, 13) the other randomized parameters of each lander. `control` (9,) has minimum and maximum
     thrust, maximum tilt, gains of the attitude loop (3) and maximum torques (3). `inertia` and
     `rig` are arguments of `advance_bodies`; the fields from `pads` on describe the touchdown
-    (`evaluate_on_raster`); `heading` is the azimuth of body x, rad.
+    (`evaluate_on_raster`); `heading` is the azimuth of body x, rad. The attitude loop knows the
+    moments of inertia `known_inertia` (2, 3). Deviations of the true lander: `mass_deviation`, kg,
+    and true thrust and torque divided by the commanded ones.
     """
 
     params: np.ndarray
@@ -184,6 +186,10 @@ class Vehicle(NamedTuple):
     spacing: float
     limits: np.ndarray
     com_height: float
+    known_inertia: np.ndarray
+    mass_deviation: float
+    thrust_scale: float
+    torque_scale: float
 
 
 class TerrainRasters(NamedTuple):
@@ -264,7 +270,7 @@ def _set_command(states, loop_state, n, action, guided, control, heading, payloa
 
     `action` is a thrust acceleration, m/s^2, if `guided`, otherwise thrust and torques, N and N m.
     The command is limited, and written to column `n` of `loop_state`. It is computed with the
-    nominal mass, without the random `payload`, kg. `attitude` (4,) is scratch.
+    nominal mass, without the unknown `payload`, kg. `attitude` (4,) is scratch.
     """
     if guided:
         loop_state[loop.THRUST, n] = thrust_attitude(
@@ -288,7 +294,7 @@ def _load_lander(i, states, loop_state, n, params, rate, vehicle, height_ranges,
     """
     for k in range(5):
         params[k, n] = vehicle.params[i, k]
-    randomized, inertia = vehicle.randomized[i], vehicle.inertia
+    randomized, inertia = vehicle.randomized[i], vehicle.known_inertia
     # Moments of inertia at the current mass, which the attitude loop uses.
     full = (states[13, n] - params[3, n]) / (params[4, n] - params[3, n])
     for k in range(3):
@@ -297,7 +303,8 @@ def _load_lander(i, states, loop_state, n, params, rate, vehicle, height_ranges,
         loop_state[loop.WEAK + k, n] = randomized[TORQUE + k]
     loop_state[loop.TIME, n] = flights.time[i]
     loop_state[loop.FAILS, n], loop_state[loop.ENGINE, n] = randomized[FAILS], randomized[ENGINE]
-    loop_state[loop.SHARE, n] = randomized[THRUST]
+    share, scale = randomized[THRUST], vehicle.thrust_scale
+    loop_state[loop.SHARE, n] = share + (scale - 1.0) * (1.0 + share)
     loop_state[loop.OFFSET, n], loop_state[loop.OFFSET + 1, n] = (
         randomized[OFFSET],
         randomized[OFFSET + 1],
@@ -368,14 +375,14 @@ def advance(
                 guided,
                 v.control,
                 v.heading,
-                v.randomized[i, LOAD],
+                v.randomized[i, LOAD] + v.mass_deviation,
                 attitude,
             )
         left = count
         for _ in range(steps):
             if guided:
                 loop.command_torques(states, loop_state, width, gains, max_torque, scratch)
-            loop.actuate(states, loop_state, width, thrust, torque)
+            loop.actuate(states, loop_state, width, v.torque_scale, thrust, torque)
             advance_bodies(states, dt, thrust, torque, params, v.inertia, v.rig, work)
             for n in range(width):
                 loop_state[loop.TIME, n] += dt

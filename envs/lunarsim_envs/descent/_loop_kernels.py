@@ -114,11 +114,12 @@ def measure_rates(states, loop_state, width, dt, turn):
 
 
 @kernel(inner=True)
-def actuate(states, loop_state, width, thrust, torque):
+def actuate(states, loop_state, width, torque_scale, thrust, torque):
     """Compute the thrust and torque that the actuators deliver, with random failures.
 
     Writes the thrust that the engine follows to `thrust` (width,), N, and torques to `torque` (3,
-    width), N m. Torques include the effect of the offset of the thrust line.
+    width), N m. Torques include the effect of the offset of the thrust line. `torque_scale` is the
+    true torque divided by the commanded one.
     """
     for n in range(width):
         command = loop_state[THRUST, n] * (1.0 + loop_state[SHARE, n])
@@ -129,7 +130,7 @@ def actuate(states, loop_state, width, thrust, torque):
         )
     for k in range(3):
         for n in range(width):
-            command = loop_state[TORQUE + k, n]
+            command = torque_scale * loop_state[TORQUE + k, n]
             weak = command * loop_state[WEAK + k, n]
             torque[k, n] = weak if loop_state[TIME, n] >= loop_state[FAILS, n] else command
     for n in range(width):

@@ -231,16 +231,18 @@ class DescentBatch:
         self._true_params = d.params
         self.params = np.tile(d.params, (count, 1))
         self.randomized = np.tile(_ALIKE, (count, 1))
-        self._add_deviations(np.ones(count, np.bool_))
         self._counts = np.zeros(count, np.int64)
         self._upright = attitude_from_thrust([0.0, 0.0, 1.0], craft.heading)
         v = craft.true_lander
-        self._weight = np.array([v.wet_mass, v.wet_mass * d.gravity])
+        weight = v.thrust_scale * craft.dynamics.lander.wet_mass * d.gravity
+        self._weight = np.array([v.wet_mass, weight])
         control = [v.thrust_min, v.thrust_max, craft.max_tilt, *craft.gains, *v.torque_max]
         self._vehicle = k.Vehicle(
             self.params, self.randomized, d.inertia, d.plain_rig, np.array(control), craft.heading,
             v.pads - v.com_offset, pad_disc(0.5 * v.pad_diameter), TERRAIN_SAMPLE_SPACING_M,
-            touchdown_params(v, d.gravity).limits, v.com_height,
+            touchdown_params(v, d.gravity).limits,
+            v.com_height + v.com_offset[2], craft.dynamics.inertia,
+            v.wet_mass - craft.dynamics.lander.wet_mass, v.thrust_scale, v.torque_scale,
         )  # fmt: skip
         self._terrains = k.TerrainRasters(worlds.terrains, worlds.frame, worlds.levels)
 
@@ -286,20 +288,8 @@ class DescentBatch:
                 mask, self._keys, self._flight_counts, self.craft.domain_randomization.ranges,
                 STANDARD_GRAVITY, self._true_params, self.randomized, self.params, self.y,
             )  # fmt: skip
-            self._add_deviations(mask)
         self.failed[mask] = 0
         self.touchdown_values[mask] = np.nan
-
-    def _add_deviations(self, mask: BoolArray) -> None:
-        """Add the true lander's deviations to the parameters of the lanes `mask` (n,).
-
-        The commanded thrust of an acceleration is computed with the mass without the deviation.
-        """
-        true, nominal = self.craft.true_lander, self.craft.dynamics.lander
-        values = self.randomized
-        values[mask, k.LOAD] += true.wet_mass - nominal.wet_mass
-        values[mask, k.THRUST] += (true.thrust_scale - 1.0) * (1.0 + values[mask, k.THRUST])
-        values[mask, k.TORQUE : k.SEES_LATE] *= true.torque_scale
 
     def normals(self, mask: BoolArray, size: int) -> Array:
         """Return `size` standard normal numbers per lander of `mask` (n, size).

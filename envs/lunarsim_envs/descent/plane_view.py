@@ -135,7 +135,7 @@ class PlaneView:
     def _gauges(self) -> Image:
         """Return an RGB image of gauges and of the landing outcome (440, 200, 3)."""
         lanes, y = self._lanes, self._lanes.y[self._lane]
-        vehicle = lanes.craft.dynamics.lander
+        vehicle = lanes.craft.true_lander
         tilt = np.degrees(np.arccos(np.clip(quat_rotate(y[6:10], [0.0, 0.0, 1.0])[2], -1.0, 1.0)))
         off = self._project(y[:3])
         gauges = [

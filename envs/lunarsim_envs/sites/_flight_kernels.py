@@ -371,7 +371,8 @@ def fly(thread_slice, y, rate, width, dt, time_limit, vehicle, terrains, flights
         block_vehicle = d.Vehicle(
             vehicle.params[low:high], vehicle.randomized[low:high], vehicle.inertia, vehicle.rig,
             vehicle.control, vehicle.heading, vehicle.pads, vehicle.disc, vehicle.spacing,
-            vehicle.limits, vehicle.com_height,
+            vehicle.limits, vehicle.com_height, vehicle.known_inertia, vehicle.mass_deviation,
+            vehicle.thrust_scale, vehicle.torque_scale,
         )  # fmt: skip
         block_flights = d.Flights(
             flights.world[low:high], flights.time[low:high], flights.ended[low:high],

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 
 from lunarsim.core.guidance import VerticalDescentParams, vertical_descent_command
+from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.contract import PhaseEnd, require_finite_state
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import check_bounds, hidden, quantity
@@ -114,7 +115,8 @@ class VerticalDescent:
         3.0,
         "m",
         gt=0,
-        help="the same height while the descent is slowed by horizontal motion",
+        help="height above touchdown below which the maximum tilt decreases while the descent is "
+        "slowed by horizontal motion",
     )
     tolerated_speed: float = quantity(
         0.3,
@@ -134,12 +136,22 @@ class VerticalDescent:
         10.0,
         "kg",
         ge=0,
-        help="remaining propellant below which the lander no longer holds its height",
+        help="estimated remaining propellant below which the lander no longer holds its height; it "
+        "must exceed the error of the estimate",
     )
     dry_mass: float = hidden(0.0)
 
     def __post_init__(self) -> None:
         check_bounds(self, "terminal_descent")
+        for name, most in (
+            ("max_tilt_at_touchdown", "max_tilt"), ("low_height", "full_tilt_height"),
+        ):  # fmt: skip
+            if getattr(self, name) > getattr(self, most):
+                raise InputError(
+                    f"terminal_descent.{name}",
+                    getattr(self, name),
+                    f"must be at most that of {most}",
+                )
 
     def build(self, briefing: Briefing, lag: float) -> VerticalDescent:
         """Return the law for the lander, gravity and total response lag (s) of a flight.
