@@ -44,7 +44,7 @@ sys.path.insert(0, str(DOCS.parent / "scenarios" / "lidar_maps"))
 comparison = importlib.import_module("comparison_rows")
 
 OPENING, END = "<!-- results: ", "<!-- end results -->"
-_BLOCK = re.compile(rf"^{OPENING}([^\n]*) -->\n(.*?)^{END}$", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(rf"^{OPENING}([^\n]*) -->\n(.*?)^{END}$", re.MULTILINE | re.DOTALL)
 _REMEDY = "Correct the opening line of the block."
 # Calibration error above which a calibrated probability counts as a shortfall.
 MAX_CALIBRATION_ERROR = 0.03
@@ -309,11 +309,11 @@ def _selected(field: str, items: list[Any], numbers: str) -> list[Any]:
 
 def update_page(text: str) -> str:
     """Return the text of a page with current blocks."""
-    if len(_BLOCK.findall(text)) != text.count(OPENING):
+    if len(BLOCK.findall(text)) != text.count(OPENING):
         raise InputError(
             "blocks", text.count(OPENING), f"must each end with {END}", "Add the line."
         )
-    return _BLOCK.sub(lambda m: f"{OPENING}{m[1]} -->\n{block(m[1], m[2])}{END}", text)
+    return BLOCK.sub(lambda m: f"{OPENING}{m[1]} -->\n{block(m[1], m[2])}{END}", text)
 
 
 def pages() -> dict[Path, str]:

@@ -29,6 +29,15 @@ def summary(path: Path) -> str:
     return text.split("\n", maxsplit=1)[0]
 
 
+def _forget_other_folders(folder: Path, studies: set[Path]) -> None:
+    """Remove modules beside studies of other folders, because some have the same names."""
+    others = {path.parent for path in studies} - {folder}
+    for name, module in list(sys.modules.items()):
+        file = getattr(module, "__file__", None)
+        if file is not None and Path(file).parent in others:
+            del sys.modules[name]
+
+
 def load_study(name: str) -> Study:
     """Load the study of a name, for instance "landers/slosh".
 
@@ -46,6 +55,7 @@ def load_study(name: str) -> Study:
     path = files[name]
     # Scripts import others of their folder, and their processes import them by name.
     sys.path.insert(0, str(path.parent))
+    _forget_other_folders(path.parent, set(files.values()))
     study = importlib.import_module(path.stem).study
     if not isinstance(study, Study):
         raise TypeError(f"{path}: `study` must be a Study, got {type(study).__name__}")

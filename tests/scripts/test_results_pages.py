@@ -56,7 +56,7 @@ def test_every_stored_result_is_shown(results):
     shown = set()
     for page in results.DOCS.rglob("*.md"):
         text = page.read_text(encoding="utf-8")
-        for head, old in results._BLOCK.findall(text):
+        for head, old in results.BLOCK.findall(text):
             names = [word for word in head.split() if "=" not in word]
             shown |= set(names)
             for name in names:

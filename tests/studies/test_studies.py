@@ -238,3 +238,9 @@ def test_packed_arrays_are_exact(array):
     again = unpack_array(text)
     assert again.dtype == array.dtype
     np.testing.assert_array_equal(again, array)
+
+
+def test_studies_of_two_folders_use_their_own_modules():
+    """Both folders have a module `figures`."""
+    for name in ("quadtree/hazard_field", "gaussian_dem/tables", "quadtree/hazard_field"):
+        assert study_name(load_study(name)) == name
