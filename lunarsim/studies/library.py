@@ -30,7 +30,7 @@ def summary(path: Path) -> str:
 
 
 def _forget_other_folders(folder: Path, studies: set[Path]) -> None:
-    """Remove modules beside studies of other folders, because some have the same names."""
+    """Remove modules of other folders of studies, because some have the same names."""
     others = {path.parent for path in studies} - {folder}
     for name, module in list(sys.modules.items()):
         file = getattr(module, "__file__", None)
