@@ -32,7 +32,9 @@ results: $(STAMP)       ## the tables of docs/validation that come from docs/res
 	$(BIN)/python scripts/results_pages.py
 
 # The tutorials are executed side by side into the cache that Sphinx reads.
-TUTORIALS := $(filter-out %/index.md,$(wildcard docs/tutorials/*.md))
+# The longest tutorials first, so that both processes end at about the same time.
+LONGEST := $(addprefix docs/tutorials/,guidance-law.md papers.md campaign.md p-safe.md)
+TUTORIALS := $(LONGEST) $(filter-out %/index.md $(LONGEST),$(wildcard docs/tutorials/*.md))
 CACHE := -p $(OUT)/.jupyter_cache
 
 docs: $(STAMP)          ## the site, in out/docs/index.html
