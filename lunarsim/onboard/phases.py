@@ -121,7 +121,7 @@ class PhaseSequence:
         self._record(status.time, "approach", details)
         end = self._approach.end(status.site, self._lander)
         optimal, _ = self._evaluator.time_to(status.site, status.estimate)
-        left, within = _initial_time_to_go(self._approach, status.estimate, end, optimal)
+        left, within = initial_time_to_go(self._approach, status.estimate, end, optimal)
         if not within:
             self._record(status.time, "approach-out-of-limits", details)
         self.arrival = status.time + left
@@ -203,7 +203,7 @@ class PhaseSequence:
         self._recorded_guidance_events = len(self._guidance.events)
 
 
-def _initial_time_to_go(
+def initial_time_to_go(
     approach: Approach, estimate: Estimate, end: PhaseEnd, optimal_time: float
 ) -> tuple[float, bool]:
     """Return the initial time-to-go of the approach, s, and whether it is admissible.

@@ -319,3 +319,14 @@ def test_scenario_check_prints_the_findings_after_its_own_text():
     assert "vehicle check: violated: propellant" in done.stderr
     assert done.stderr.index("estimate:") < done.stderr.index("vehicle check:")
     assert "vehicle check" not in done.stdout
+
+
+def test_an_approach_with_a_jerk_and_no_time_is_planned():
+    scenario = Scenario.from_dict(
+        {
+            "name": "jerk",
+            "approach": {"jerk_m_s3": 0.05, "arrival_velocity_m_s": [3.0, 0.0]},
+            "start": {"position_m": [-600.0, 0.0, 400.0], "velocity_m_s": [28.0, 0.0, -12.0]},
+        }
+    )
+    assert not check_vehicle(scenario).is_violated

@@ -12,15 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from lunarsim.core.guidance import fallback_time
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.guidance.apollo import time_to_go_for_jerk
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.divert_cost import PathLimits
 from lunarsim.onboard.guidance.paths import APOLLO, PathShape
 from lunarsim.onboard.guidance.vertical import TerminalDescentLaw
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.phases import initial_time_to_go
 from lunarsim.typing import Array
 
 # Number of intervals along the approach path.
@@ -211,11 +210,8 @@ def _planned_time(
     """Return the planned time-to-go (s) and the limits that were ignored to find it."""
     ends = approach.end(_SITE[None, :], lander)
     one = approach.end(_SITE, lander)
-    if approach.jerk is not None:
-        guess = approach.time_to_go or fallback_time(start, one)
-        return time_to_go_for_jerk(start, one, approach.jerk, guess, max_change=np.inf), ()
-    if approach.time_to_go is not None:
-        return approach.time_to_go, ()
+    if not approach.has_free_time_to_go:
+        return initial_time_to_go(approach, start, one, np.inf)[0], ()
     limits = replace(approach.limits, reserve=0.0)
     cases = (
         (lander, approach.limits, ()),
@@ -230,7 +226,7 @@ def _planned_time(
         found = float(law.cost(start, ends, vehicle, gravity, kept).time_to_go[0])
         if np.isfinite(found):
             return found, exceeds
-    return fallback_time(start, one), (*cases[-1][2], "time")
+    return initial_time_to_go(approach, start, one, np.inf)[0], (*cases[-1][2], "time")
 
 
 def terminal_descent(
