@@ -53,7 +53,7 @@ def check(scenario: Path, changes: tuple[str, ...]) -> None:
     loaded = load_scenario(scenario, changes)
     loaded.check_files()
     # A flight makes the same check before it starts.
-    loaded.vehicle.make().check_hover(loaded.gravity_m_s2)
+    loaded.check_hover()
     click.echo(f"estimate: {estimate(loaded)}", err=True)
     click.echo(loaded.to_toml(), nl=False)
     for line in scenario_findings(loaded):

@@ -16,6 +16,8 @@ from lunarsim._jit import kernel
 LAGGED, COMMANDED, COMMAND_TIME = 0, 3, 6
 # Tolerated duration, s, and relative size of a violation of the limits of tilt and thrust.
 MAX_VIOLATION_S, VIOLATION_SLACK = 0.5, 0.02
+# Maximum speed of a climb during the vertical descent, m/s.
+MAX_CLIMB_SPEED_M_S = 0.5
 # Time-to-go where no path is admissible: this multiple of distance over speed, at least this time
 # (s); the speed is taken as at least the last value (m/s).
 _FALLBACK_TIME_FACTOR, _MIN_FALLBACK_TIME_S, _MIN_SPEED_M_S = 2.0, 5.0, 1.0
@@ -85,21 +87,47 @@ def _tan_max_tilt(height, full_tilt_height, law):
 
 
 @kernel(exact=True)
+def _planned_deceleration(height, law):
+    """Return the horizontal deceleration with which the vertical descent plans, m/s^2.
+
+    The maximum tilt decreases with `height`, m; half of its value at this height is planned.
+    """
+    return 0.5 * law.gravity * _tan_max_tilt(height, law.full_tilt_height, law)
+
+
+@kernel(exact=True)
 def _limit_descent_speed(state, height, nominal, mass, law):
     """Return the vertical velocity, m/s, slower while the lander drifts too fast.
 
     The result is `nominal`, the nominal vertical velocity, m/s (negative), if the lander can stop
-    its drift within `height`, m, above touchdown. Otherwise it falls to zero with the height, or,
-    at a `mass` (kg) with little propellant left, to a fraction of `nominal`. `state` (2, 3) is
-    position and velocity; `law` is a `VerticalDescentParams`.
+    its drift within `height`, m, above touchdown. Otherwise it falls to zero at a height where the
+    lander can tilt, which is higher for a faster drift; a lander below that height climbs slowly.
+    At a `mass` (kg) with little propellant left, the result is at least a fraction of `nominal`.
+    `state` (2, 3) is position and velocity; `law` is a `VerticalDescentParams`.
     """
     excess = max(np.hypot(state[1, 0], state[1, 1]) - law.tolerated_speed, 0.0)
-    # The maximum tilt decreases with height: plan with half of the value at this height.
-    stopping = excess / (0.5 * law.gravity * _tan_max_tilt(height, law.full_tilt_height, law))
+    stopping = excess / _planned_deceleration(height, law)
     if excess == 0.0 or -nominal * stopping <= height:
         return nominal
-    may_hold = mass > law.dry_mass + law.hold_propellant
-    return min(-height / stopping, 0.0 if may_hold else law.min_speed_fraction * nominal)
+    if mass <= law.dry_mass + law.hold_propellant:
+        return min(-height / stopping, law.min_speed_fraction * nominal)
+    held = law.low_height * min(excess / law.tolerated_speed, 1.0)
+    return min((held - height) / stopping, MAX_CLIMB_SPEED_M_S)
+
+
+@kernel(exact=True)
+def _position_gain(offset, height, nominal, law):
+    """Return the fraction of the position loop's gain used at an `offset`, m.
+
+    The loop moves the lander towards the site at the speed ``frequency / (2 damping) offset``. This
+    speed is limited to that from which the lander can slow down to half of the tolerated speed
+    during the nominal descent from `height`, m, so that the loop itself never slows the descent.
+    `nominal` is the nominal vertical velocity, m/s (negative), and `law` is a
+    `VerticalDescentParams`.
+    """
+    speed = law.frequency / (2.0 * law.damping) * offset
+    slowing = _planned_deceleration(height, law) * max(height, 0.0) / -nominal
+    return min((0.5 * law.tolerated_speed + slowing) / speed, 1.0) if speed > 0.0 else 1.0
 
 
 @kernel(exact=True)
@@ -116,9 +144,12 @@ def vertical_descent_command(state, end, nominal, mass, law, command):
         height, law.full_tilt_height if wanted == nominal else law.low_height, law
     )
     up = max(law.gravity + law.speed_gain * (wanted - state[1, 2]), 0.3 * law.gravity)
+    gain = law.frequency**2 * _position_gain(
+        np.hypot(state[0, 0] - end[0], state[0, 1] - end[1]), height, nominal, law
+    )
     for k in range(2):
         offset = state[0, k] - end[k]
-        command[k] = -(law.frequency**2) * offset - 2.0 * law.damping * law.frequency * state[1, k]
+        command[k] = -gain * offset - 2.0 * law.damping * law.frequency * state[1, k]
     limit, size = up * tan_tilt, np.hypot(command[0], command[1])
     if size > limit:
         command[0] *= limit / size

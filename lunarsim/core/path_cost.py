@@ -33,6 +33,21 @@ def power_terms(state, target, final, time_to_go, powers, out):
         out[1, k] = p - out[0, k]
 
 
+@kernel()
+def initial_accelerations(state, targets, final, times, powers, out):
+    """Write the initial accelerations of n polynomial paths to `out` (n, 3), m/s^2.
+
+    `targets` (n, 3) are the final positions, m, and `times` (n,) the times-to-go, s. The other
+    arguments are those of `power_terms`.
+    """
+    terms = np.empty((2, 3))
+    for n in range(len(times)):
+        power_terms(state, targets[n], final, times[n], powers, terms)
+        for k in range(3):
+            rate = (powers[0] + 1.0) * terms[0, k] + (powers[1] + 1.0) * terms[1, k]
+            out[n, k] = final[1, k] + rate
+
+
 @kernel(inline=True, inner=True)
 def above_cone(target, final, time_to_go, time_fraction, low, high, powers, terms, tan_glideslope):
     """Return whether a sample of a path is above the glideslope cone of the target.

@@ -33,6 +33,11 @@ class DescentEngine:
     gap_lower, gap_upper
         Forbidden throttle interval, N: the engine runs at up to `gap_lower` or exactly at
         `gap_upper`; 0 and 0: no gap.
+    continuous_min
+        Minimum thrust at which the engine runs continuously, N. For smaller commands it runs in
+        pulses of this thrust; at the maximum thrust the engine can only be on or off. 0: no pulses.
+    pulse_period, min_pulse
+        Time between two pulses, and minimum time on or off within it, s.
     """
 
     pivot_depth: float = quantity(
@@ -72,8 +77,35 @@ class DescentEngine:
         "gap_lower_n or at exactly gap_upper_n; 0: no such range",
     )
 
+    continuous_min: float = quantity(
+        0.0,
+        "N",
+        ge=0,
+        help="minimum thrust at which the engine runs continuously; for smaller commands it runs "
+        "in pulses of this thrust. With thrust_max_n, the engine is on or off; 0: no pulses",
+    )
+    pulse_period: float = quantity(
+        0.1, "s", gt=0, le=5, help="time between two pulses of an engine that runs in pulses"
+    )
+    min_pulse: float = quantity(
+        0.0,
+        "s",
+        ge=0,
+        help="minimum time on, and off, of a pulse. Shorter times are added to the next pulse",
+    )
+
     def __post_init__(self) -> None:
         check_bounds(self, "engine")
+        if self.continuous_min > 0.0 and self.gap_upper > 0.0:
+            raise InputError(
+                "engine.continuous_min", self.continuous_min,
+                "must be 0 for an engine with a gap in its thrust range (gap_upper_n)",
+            )  # fmt: skip
+        if self.min_pulse > 0.5 * self.pulse_period:
+            raise InputError(
+                "engine.min_pulse", self.min_pulse,
+                f"must be at most half of pulse_period_s ({self.pulse_period:g})",
+            )  # fmt: skip
         if self.gap_lower > 0.0 and not self.gap_lower < self.gap_upper:
             raise InputError(
                 "engine.gap_upper", self.gap_upper,
@@ -151,6 +183,11 @@ class JetLander(Lander):
         if gap.has_gap and not gap.gap_upper <= self.thrust_max:
             raise InputError(
                 "vehicle.engine.gap_upper_n", gap.gap_upper,
+                f"must be at most vehicle.thrust_max_n, which is {self.thrust_max:g} N",
+            )  # fmt: skip
+        if gap.continuous_min > self.thrust_max:
+            raise InputError(
+                "vehicle.engine.continuous_min_n", gap.continuous_min,
                 f"must be at most vehicle.thrust_max_n, which is {self.thrust_max:g} N",
             )  # fmt: skip
         for name in ("com_dry", "com_full"):

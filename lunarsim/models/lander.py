@@ -190,13 +190,14 @@ class Lander:
         dry, wet = np.asarray(self.inertia_dry), np.asarray(self.inertia_full)
         return np.asarray(dry + full * (wet - dry))
 
-    def check_hover(self, gravity: float) -> None:
+    def check_hover(self, gravity: float, reserve: float = 0.0) -> None:
         """Raise InputError unless the engine can hover and descend in `gravity` (m/s^2).
 
         Raises
         ------
         InputError
-            If the maximum thrust is below the full weight, or the minimum above the dry weight.
+            If the maximum thrust is below the full weight, or the minimum above the weight at
+            touchdown with the propellant `reserve`, kg.
         """
         weight = self.wet_mass * gravity
         if self.thrust_max <= weight:
@@ -206,10 +207,11 @@ class Lander:
                 f"must be more than the weight of {weight:.0f} N, "
                 "otherwise the lander cannot hover",
             )
-        if self.thrust_min >= self.dry_mass * gravity:
+        weight = (self.dry_mass + reserve) * gravity
+        if self.thrust_min >= weight:
             raise InputError(
                 "vehicle.thrust_min_n",
                 self.thrust_min,
-                f"must be less than the dry weight of {self.dry_mass * gravity:.0f} N, "
-                "otherwise the lander cannot descend",
+                f"must be less than the weight at touchdown with approach.reserve_kg, {weight:.0f} "
+                "N, otherwise the lander cannot descend",
             )

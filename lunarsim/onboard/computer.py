@@ -28,7 +28,7 @@ from lunarsim.onboard.guidance.command_limits import (
 )
 from lunarsim.onboard.guidance.contract import PhaseEnd, UsesHazardMap
 from lunarsim.onboard.guidance.divert_cost import DivertCost
-from lunarsim.onboard.guidance.vertical import climb, descent_law
+from lunarsim.onboard.guidance.vertical import Hovers, climb, descent_law
 from lunarsim.onboard.hazards.hazard_map import HazardMap, lookup_elevation
 from lunarsim.onboard.hazards.map_tilt_correction import MapTiltCorrection
 from lunarsim.onboard.hazards.mapper import HazardMapper, build_mappers, sensor_names
@@ -116,7 +116,9 @@ class OnboardComputer:
         self.candidates: Candidates | None = None
         self.updated_mappers: set[str] = set()
         self.expected_miss = float("nan")
-        self._phases = PhaseSequence(briefing, self.site_evaluator, self.guidance, self._record)
+        self._phases = PhaseSequence(
+            briefing, self.site_evaluator, self.guidance, self.vertical, self._record
+        )
         self._thrust = 0.0
         self._failed_thrusters = 0
         self._corrected_target: Array = briefing.target.copy()
@@ -438,7 +440,10 @@ class OnboardComputer:
 
     def command(self) -> Command:
         """Return the command to vehicle and sensors for the next control cycle."""
-        self._phases.advance(self.status)
+        if self._phases.advance(self.status):
+            # The vertical descent lands below the lander.
+            self.site = np.array([*self.estimate.position[:2], self.site[2]])
+            self._update_site_height()
         request = (
             self._braking_command() if self.phase == Phase.BRAKING else self._guidance_command()
         )
@@ -459,7 +464,7 @@ class OnboardComputer:
         return request
 
     def _guidance_command(self) -> Command:
-        """Return the vehicle command during approach, terminal descent or abort."""
+        """Return the vehicle command during approach, hover, terminal descent or abort."""
         end: PhaseEnd
         here = self._position_limited_estimate()
         if self.phase == Phase.APPROACH:
@@ -479,6 +484,11 @@ class OnboardComputer:
                 "terminal_descent", self.briefing.software.terminal_descent, given, self.time
             )
             tilt = self.vertical.max_tilt
+        elif self.phase == Phase.HOVER:
+            # Only a law that can hover begins this phase.
+            assert isinstance(self.vertical, Hovers)
+            wanted = self.vertical.hover(self.estimate, self._phases.hover_height)
+            tilt = self.approach.max_tilt
         else:
             wanted = climb(self.estimate, self.lander.thrust_max / self.mass)
             tilt = self.approach.max_tilt

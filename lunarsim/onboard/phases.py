@@ -13,11 +13,14 @@ from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.guidance.apollo import time_to_go_for_jerk
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.contract import GuidanceLaw, PhaseEnd, PlansArrival
+from lunarsim.onboard.guidance.vertical import Hovers, TerminalDescentLaw
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.site_evaluator import DescentStatus, SiteEvaluator
 
 # Records the event with a time, s, a name and details.
 RecordEvent = Callable[[float, str, dict[str, Any]], None]
+# A hover ends below this horizontal and vertical speed, m/s.
+_MAX_HOVER_END_SPEED_M_S = 1.0
 
 
 class Phase(IntEnum):
@@ -27,6 +30,7 @@ class Phase(IntEnum):
     VERTICAL = 1
     ABORT = 2
     BRAKING = 3
+    HOVER = 4
 
 
 class PhaseSequence:
@@ -35,12 +39,17 @@ class PhaseSequence:
     ::
 
         BRAKING ----> APPROACH ----> VERTICAL     transitions: `advance`
-           |             |              |
-           +-------------+--------------+-----> ABORT     decision: `abort`
+           |           |   ^            ^  |
+           |           v   |            |  |
+           |           HOVER -----------+  |
+           |             |                 |
+           +-------------+-----------------+--> ABORT     decision: `abort`
 
     A flight starts with BRAKING if the scenario has a table [braking], otherwise with APPROACH.
-    BRAKING ends at its final time-to-go. APPROACH ends at an altitude or at a time-to-go. VERTICAL
-    ends at touchdown. ABORT climbs until the end of the flight.
+    BRAKING ends at its final time-to-go. APPROACH ends at an altitude or at a time-to-go. If the
+    vertical descent cannot reach the site from there, HOVER stops the lander and climbs above the
+    glideslope. Then APPROACH begins again, or VERTICAL at the place below the lander if no path
+    leads to the site. VERTICAL ends at touchdown. ABORT climbs until the end of the flight.
 
     The time-to-go counts down to the end of BRAKING or APPROACH. During BRAKING and with a given
     jerk, it is computed again in each cycle. Otherwise it is chosen by propellant: at the start of
@@ -55,6 +64,8 @@ class PhaseSequence:
         Evaluates the time-to-go to landing sites.
     guidance
         Guidance law of the approach.
+    terminal
+        Guidance law of the terminal descent.
     record
         Records an event.
 
@@ -64,6 +75,8 @@ class PhaseSequence:
         Current phase.
     arrival
         Time at which the time-to-go is 0, s.
+    hover_height
+        Height of the centre of mass in HOVER, local frame, m; NaN before.
     """
 
     def __init__(
@@ -71,6 +84,7 @@ class PhaseSequence:
         briefing: Briefing,
         evaluator: SiteEvaluator,
         guidance: GuidanceLaw,
+        terminal: TerminalDescentLaw,
         record: RecordEvent,
     ) -> None:
         software = briefing.software
@@ -79,7 +93,9 @@ class PhaseSequence:
         self._approach, self._braking, self._lander = (
             software.approach, software.braking, briefing.lander,
         )  # fmt: skip
+        self.hover_height = float("nan")
         self._evaluator, self._guidance, self._record = evaluator, guidance, record
+        self._terminal = terminal
         self._recorded_guidance_events = 0
 
     @property
@@ -95,15 +111,18 @@ class PhaseSequence:
         self.phase = Phase.ABORT
         self._record(status.time, "abort", {"altitude": status.altitude, "reason": reason})
 
-    def advance(self, status: DescentStatus) -> None:
+    def advance(self, status: DescentStatus) -> bool:
         """Update the time-to-go, and make the transitions that are due in this cycle.
 
-        They are those of braking and approach; vertical descent and abort do not change here.
+        They are those of braking, approach and hover; vertical descent and abort do not change
+        here. The result is whether the lander must land below itself, because a hover ends from
+        which no path leads to its site.
         """
         if self.phase == Phase.BRAKING:
             self._advance_braking(status)
         if self.phase == Phase.APPROACH:
             self._advance_approach(status)
+        return self.phase == Phase.HOVER and self._advance_hover(status)
 
     def _advance_braking(self, status: DescentStatus) -> None:
         """Update the time-to-go of braking; start the approach when braking ends.
@@ -138,9 +157,50 @@ class PhaseSequence:
             left = time_to_go_for_jerk(status.estimate, end, self._approach.jerk, left)
             self.arrival = status.time + left
             left = self.arrival - status.time
-        if self._approach.is_finished(status.altitude, left):
-            self.phase = Phase.VERTICAL
-            self._record(status.time, "vertical-descent", {"altitude": status.altitude})
+        if not self._approach.is_finished(status.altitude, left):
+            return
+        touchdown = self._approach.touchdown_end(status.site, self._lander)
+        if isinstance(self._terminal, Hovers) and not self._terminal.can_reach(
+            status.estimate, touchdown
+        ):
+            self._begin_hover(status, touchdown)
+        else:
+            self._begin_vertical(status)
+
+    def _begin_vertical(self, status: DescentStatus) -> None:
+        self.phase = Phase.VERTICAL
+        self._record(status.time, "vertical-descent", {"altitude": status.altitude})
+
+    def _begin_hover(self, status: DescentStatus, touchdown: PhaseEnd) -> None:
+        """Set the phase to HOVER; `touchdown` is the end that the descent cannot reach."""
+        self.phase, self.hover_height = Phase.HOVER, float(status.estimate.position[2])
+        distance = float(np.hypot(*(status.estimate.position - touchdown.position)[:2]))
+        details = {"altitude": status.altitude, "distance": distance}
+        self._record(status.time, "hover", details)
+
+    def _advance_hover(self, status: DescentStatus) -> bool:
+        """Begin the approach again once the lander has stopped at the height of the hover.
+
+        Without a path to the site, the vertical descent begins, and the result is True.
+        """
+        velocity, most = status.estimate.velocity, _MAX_HOVER_END_SPEED_M_S
+        touchdown = self._approach.touchdown_end(status.site, self._lander).position
+        distance = float(np.hypot(*(status.estimate.position - touchdown)[:2]))
+        # The lander climbs while it drifts away from its site.
+        height = float(touchdown[2]) + self._approach.hover_height(distance)
+        self.hover_height = max(self.hover_height, height)
+        below = self.hover_height - float(status.estimate.position[2])
+        if max(np.hypot(*velocity[:2]), abs(velocity[2]), below) > most:
+            return False
+        time_to_go, _ = self._evaluator.time_to(status.site, status.estimate)
+        if not np.isfinite(time_to_go):
+            self._begin_vertical(status)
+            return True
+        self.phase, self.arrival = Phase.APPROACH, status.time + time_to_go
+        if isinstance(self._guidance, PlansArrival):
+            self._guidance.arrival = None
+        self._record(status.time, "approach", {"altitude": status.altitude})
+        return False
 
     def allowed_time_scale(
         self, status: DescentStatus, time_scale: float | None, inhibited: bool
@@ -164,15 +224,29 @@ class PhaseSequence:
         """Choose a new time-to-go to the current landing site.
 
         It is the minimum-propellant time-to-go, multiplied by `time_scale` if this is given and
-        the resulting path keeps the limits. If no path exists, the time-to-go stays. Diverts
-        always get a new time-to-go; a lander that keeps its site gets one here, since otherwise
-        diverts would appear to save propellant. Returns why the time scale was refused, or an
-        empty text.
+        the resulting path keeps the limits. If no path exists, or if the landing would be
+        postponed too long near the terrain, the time-to-go stays. Diverts always get a new
+        time-to-go; a lander that keeps its site gets one here, since otherwise diverts would appear
+        to save propellant. Returns why the time scale was refused, or an empty text.
         """
         time_to_go, why = self._evaluator.time_to(status.site, status.estimate, time_scale)
-        if np.isfinite(time_to_go):
-            self.arrival = status.time + time_to_go
+        self._arrive_in(time_to_go, status)
         return why
+
+    def _arrive_in(self, time_to_go: float, status: DescentStatus) -> bool:
+        """Set a time-to-go (s), unless it postpones the landing for too long.
+
+        The result is whether it was set; it must be finite. A refused postponement is recorded.
+        """
+        if not np.isfinite(time_to_go):
+            return False
+        later = time_to_go - (self.arrival - status.time)
+        if not self._approach.allows_postponement(later, status.altitude):
+            details = {"altitude": status.altitude, "seconds": later}
+            self._record(status.time, "postponement-refused", details)
+            return False
+        self.arrival = status.time + time_to_go
+        return True
 
     def extend(self, status: DescentStatus) -> None:
         """Extend the time-to-go to that of the minimum-propellant path, if it is longer.
@@ -185,8 +259,7 @@ class PhaseSequence:
             return
         time_to_go, _ = self._evaluator.time_to(status.site, status.estimate)
         left = self.arrival - status.time
-        if left < time_to_go < np.inf:
-            self.arrival = status.time + time_to_go
+        if time_to_go > left and self._arrive_in(time_to_go, status):
             self._record(status.time, "time-to-go-extended", {"seconds": time_to_go - left})
 
     def follow_guidance(self) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.guidance.divert_cost import DivertCost
+from lunarsim.onboard.guidance.rotation import RotationLimits
 from lunarsim.onboard.hazards.mapper import HazardMapper, checked_hazard_map
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.onboard.policies.candidates import candidate_sites
@@ -71,6 +72,7 @@ class SiteEvaluator:
         self.approach, self.decisions = software.approach, software.decisions
         self._navigation, self._mappers = navigation, mappers
         descent = self.approach.vertical_altitude / self.approach.vertical_descent_speed
+        self._rotation = RotationLimits.of(self.lander, software.control)
         self._dispersion = LandingDispersion(self.decisions.touchdown_sigma, descent)
 
     @property
@@ -103,18 +105,15 @@ class SiteEvaluator:
 
         Sites are (n, 3), local frame, m. The result also states which sites are within the limits.
         With `times` (n,), s, the cost is that of the path with this time-to-go, otherwise that of
-        the minimum-propellant path.
+        the minimum-propellant path. Every path leaves time for the rotation with which it begins
+        (`RotationLimits`).
         """
-        cost: DivertCost = self.briefing.software.guidance.cost(
-            estimate,
-            self.approach.end(sites, self.lander),
-            self.lander,
-            self.briefing.surface_gravity,
-            self.approach.limits,
-            # Guidance laws need not accept times.
-            *(() if times is None else (times,)),
-        )
-        return cost
+        law, end = self.briefing.software.guidance, self.approach.end(sites, self.lander)
+        gravity, limits = self.briefing.surface_gravity, self.approach.limits
+        # Guidance laws need not accept times.
+        given = () if times is None else (times,)
+        cost: DivertCost = law.cost(estimate, end, self.lander, gravity, limits, *given)
+        return self._rotation.limit(cost, law, estimate, end, gravity, limits)
 
     def time_to(
         self, site: Array, estimate: Estimate, time_scale: float | None = None

@@ -283,6 +283,10 @@ class Scenario:
             designation_window=None if self.window is None else self.window.make(),
         )
 
+    def check_hover(self) -> None:
+        """Raise InputError unless the lander can hover, and descend at the end."""
+        self.vehicle.make().check_hover(self.gravity_m_s2, self.approach.make().reserve)
+
     def true_lander(self) -> Lander:
         """Create the true lander: `[vehicle]` with the deviations of `[truth.vehicle]`.
 

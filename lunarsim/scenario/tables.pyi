@@ -125,6 +125,8 @@ class ApproachTable(PartSettings):
     end_time_to_go_s: float
     glideslope_deg: float
     jerk_m_s3: float | None
+    lower_throttle_margin: float | None
+    max_late_postponement_s: float
     max_tilt_deg: float
     reserve_kg: float
     takeover_altitude_m: float
@@ -141,6 +143,8 @@ class ApproachChanges(TypedDict, total=False):
     end_time_to_go_s: float
     glideslope_deg: float
     jerk_m_s3: float | None
+    lower_throttle_margin: float | None
+    max_late_postponement_s: float
     max_tilt_deg: float
     reserve_kg: float
     takeover_altitude_m: float
@@ -603,6 +607,7 @@ class TerminalDescentTable(SelectedPart):
     hold_height_speed_m_s: float | None
     hold_propellant_kg: float
     low_height_m: float
+    max_offset_m: float
     max_rate_m_s: float
     max_tilt_at_touchdown_deg: float
     max_tilt_deg: float
@@ -629,6 +634,7 @@ class TerminalDescentChanges(TypedDict, total=False):
     hold_height_speed_m_s: float | None
     hold_propellant_kg: float
     low_height_m: float
+    max_offset_m: float
     max_rate_m_s: float
     max_tilt_at_touchdown_deg: float
     max_tilt_deg: float

@@ -204,7 +204,7 @@ def plan(scenario: Scenario, world: World, streams: RandomStreams) -> tuple[Stat
         )  # fmt: skip
     lander: Lander = scenario.vehicle.make()
     true_lander = scenario.true_lander()
-    lander.check_hover(scenario.gravity_m_s2)
+    scenario.check_hover()
     start: Start = scenario.start.make()
     target = draw_target(scenario.target.make(), world.terrain, lander, streams)
     state = draw_start(start, world, lander, streams, target)

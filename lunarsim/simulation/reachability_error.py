@@ -22,6 +22,7 @@ _WITHOUT_LIMIT: dict[str, Any] = {
     "glideslope": 0.0,
     "reserve": 0.0,
     "throttle_margin": 0.0,
+    "lower_throttle_margin": 0.0,
     "arrival_acceleration": (0.0, 0.0, 0.0),
     "arrival_velocity": (0.0, 0.0),
     "arrival_offset": (0.0, 0.0),
@@ -98,7 +99,7 @@ def unreachable(
 def _relaxed_cases(case: _ReachabilityCase) -> Iterator[tuple[str, Any, _ReachabilityCase]]:
     """Yield scenario key and value of each limit, and the case without that limit."""
     approach, plain, lander = case.approach, Approach(), case.lander
-    fields = [n for n in _WITHOUT_LIMIT if getattr(approach, n) != _WITHOUT_LIMIT[n]]
+    fields = [n for n, v in _WITHOUT_LIMIT.items() if getattr(approach, n) not in (None, v)]
     for name in sorted(fields, key=lambda n: getattr(approach, n) == getattr(plain, n)):
         value = getattr(approach, name)
         shown = round(float(np.rad2deg(value)), 9) if _UNITS.get(name) == "_deg" else value

@@ -1,4 +1,4 @@
-"""Valves, gimbal and throttle of the true vehicle: response to commands."""
+"""Response of valves, gimbal, throttle and engine pulses to commands."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ class Actuators:
     A valve opens instantly with full force; a fraction of a step counts as that fraction of the
     force. A command replaces the rest of the previous one, but an open valve stays open for its
     minimum on-time. The gimbal moves towards the commanded angle at its rate, within its limit.
+    Below its minimum continuous thrust, the engine runs in pulses with the commanded mean thrust.
 
     Parameters
     ----------
@@ -51,6 +52,7 @@ class Actuators:
         self._open_for = np.zeros(n)
         self._gimbal_command = np.zeros(2)
         self._throttle: float | None = None
+        self._pulse, self._pulse_end, self._carried_pulse = 0.0, 0.0, 0.0
         self._time = 0.0
         self.gimbal = np.zeros(2)
         self.spent = 0.0
@@ -108,7 +110,7 @@ class Actuators:
         flow = self.lander.thrusters.propellant_flow * float(share.sum())
         rig = dynamics.on_moon(self.rig(share @ self._forces, flow))
         torque = share @ self._torques
-        thrust = self.lander.thrust_scale * throttle
+        thrust = self.lander.thrust_scale * self._pulsed(throttle)
         if self.slosh_pendulums is None:
             moved = dynamics.advance_with_rig(state, thrust, torque, rig)
         else:
@@ -120,6 +122,27 @@ class Actuators:
         self._remaining_on_time[self._remaining_on_time < 1e-9] = 0.0
         self._time += self.step
         return moved
+
+    def _pulsed(self, throttle: float) -> float:
+        """Return the mean thrust of the next step, N, for a throttle setting, N.
+
+        Time on or off that is shorter than the minimum pulse is carried to the next pulse. A pulse
+        that ends within a step counts with its fraction of the step.
+        """
+        engine, level = self.lander.engine, self.lander.engine.continuous_min
+        if not 0.0 < throttle < level:
+            self._pulse_end = self._time
+            return throttle
+        if self._time >= self._pulse_end - 1e-9:
+            period, shortest = engine.pulse_period, engine.min_pulse
+            wanted = period * throttle / level + self._carried_pulse
+            on = wanted if wanted >= shortest else 0.0
+            on = on if on <= period - shortest else period
+            self._pulse, self._carried_pulse = on, wanted - on
+            self._pulse_end = self._time + period
+        on = min(self._pulse, self.step)
+        self._pulse -= on
+        return level * on / self.step
 
     def rig(self, force: Array, flow: float) -> Array:
         """Return forces and geometry of the lander as the array (21,) of `build_rig`.

@@ -26,7 +26,7 @@ _EVENT_STYLES = {
 _LOST_STYLE = ("navigation lost", "X", "black")
 _DIVERT_STYLE = ("divert", "D", COLOURS[1])
 # Names of the phases in the trajectory.
-_PHASES = {1: "vertical descent", 2: "abort", 3: "braking"}
+_PHASES = {1: "vertical descent", 2: "abort", 3: "braking", 4: "hover"}
 
 
 def draw_descent(flight: Flight, path: Path | None = None) -> Figure:

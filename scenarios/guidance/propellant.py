@@ -77,11 +77,9 @@ def optimal_descent_problem(flight: Simulation) -> Descent:
     briefing = flight.briefing
     lander, approach = briefing.lander, briefing.software.approach
     limits, end = approach.limits, approach.end(briefing.target, lander)
-    margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     return Descent(
         flight.state.position, flight.state.velocity, flight.state.mass, end.position,
-        end.velocity, briefing.surface_gravity, lander.thrust_min + margin,
-        lander.thrust_max - margin,
+        end.velocity, briefing.surface_gravity, *limits.thrust_range(lander),
         lander.exhaust_velocity, lander.dry_mass + limits.reserve, limits.max_tilt,
         limits.glideslope, _APEX_DEPTH_M,
     )  # fmt: skip

@@ -141,12 +141,11 @@ def problem_of(displacement: Array, velocity: Array, propellant_fraction: float)
     """
     scenario = _default_scenario()
     lander, approach, law = scenario.vehicle.make(), Approach(), OptimalLaw()
-    margin = approach.throttle_margin * (lander.thrust_max - lander.thrust_min)
     dry = lander.dry_mass + approach.reserve
     return Descent(
         displacement, velocity, dry + propellant_fraction * (lander.wet_mass - dry), np.zeros(3),
         np.array([0.0, 0.0, -approach.vertical_speed]), scenario.gravity_m_s2,
-        lander.thrust_min + margin, lander.thrust_max - margin, lander.exhaust_velocity, dry,
+        *approach.limits.thrust_range(lander), lander.exhaust_velocity, dry,
         approach.max_tilt, approach.glideslope, _APEX_DEPTH_M,
         max_final_tilt=law.max_final_tilt, tilt_rate=law.tilt_rate,
     )  # fmt: skip

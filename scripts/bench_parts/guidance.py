@@ -67,12 +67,11 @@ def _optima(starts: list[Any], end: Any, lander: Any) -> Any:
     from lunarsim.optimal.problem import Descent
 
     limits, planner = PathLimits(), Planner(40)
-    margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     least = np.full(len(starts), np.nan)
     for n, start in enumerate(starts):
         descent = Descent(
             start.position, start.velocity, start.mass, end.position, end.velocity, _G,
-            lander.thrust_min + margin, lander.thrust_max - margin, lander.exhaust_velocity,
+            *limits.thrust_range(lander), lander.exhaust_velocity,
             lander.dry_mass + limits.reserve, limits.max_tilt, limits.glideslope, 0.5,
         )  # fmt: skip
         try:

@@ -66,26 +66,34 @@ def vertical_descent(r, v, touchdown, planned, gravity, lag, may_hold=True):
     """Return the thrust acceleration (3,) of the vertical descent, m/s^2.
 
     `touchdown` (3,) is the position at touchdown, m, and `planned` the downward speed, m/s. The
-    horizontal loop is a damped oscillator about the touchdown point. A lander that cannot stop its
+    horizontal loop is a damped oscillator about the touchdown point, which moves towards this point
+    at most so fast that 0.15 m/s are left at touchdown. A lander that cannot stop its
     drift before touchdown (with half of the pull that the tilt limit allows here) descends more
-    slowly; its speed reaches zero at the ground if it has the propellant to hold (`may_hold`).
+    slowly. If it has the propellant to hold (`may_hold`), its speed reaches zero 3 m above the
+    terrain with a drift of 0.6 m/s and more, proportionally lower with less; below it climbs.
     """
     frequency, damping = 0.6, 1.1
     if lag > 0.0:
         frequency = min(frequency, 0.33 / lag)
     height, drift = r[2] - touchdown[2], math.hypot(v[0], v[1])
     speed, full_tilt_height = planned, 8.0
+    deceleration = 0.5 * gravity * math.tan(max_tilt(height, 8.0))
     if drift > 0.3:
-        stopping = (drift - 0.3) / (0.5 * gravity * math.tan(max_tilt(height, 8.0)))
+        stopping = (drift - 0.3) / deceleration
         if planned * stopping > height:
-            speed, full_tilt_height = (
-                max(height / stopping, 0.0 if may_hold else planned / 4.0),
-                3.0,
-            )
+            full_tilt_height = 3.0
+            if may_hold:
+                speed = max((height - min(3.0, 10.0 * (drift - 0.3))) / stopping, -0.5)
+            else:
+                speed = max(height / stopping, planned / 4.0)
     up = max(gravity + 1.5 * (-speed - v[2]), 0.3 * gravity)
-    side = [
-        -(frequency**2) * (r[k] - touchdown[k]) - 2.0 * damping * frequency * v[k] for k in (0, 1)
-    ]
+    offset = np.array(r[:2]) - np.array(touchdown[:2])
+    # The speed at which the damped loop approaches the point in the end.
+    wanted = -frequency / (2.0 * damping) * offset
+    fastest = 0.15 + deceleration * max(height, 0.0) / planned
+    if np.linalg.norm(wanted) > fastest:
+        wanted *= fastest / np.linalg.norm(wanted)
+    side = 2.0 * damping * frequency * (wanted - np.array(v[:2]))
     limit = up * math.tan(max_tilt(height, full_tilt_height))
     share = min(1.0, limit / max(math.hypot(*side), 1e-300))
     return np.array([share * side[0], share * side[1], up])

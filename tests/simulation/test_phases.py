@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -63,6 +65,72 @@ def test_braking_hands_over_where_it_aims(blind, law, jerk):
         assert t[name][first] == pytest.approx(value, abs=within)
     assert landed_well(simulation, flight)
     assert "approach" in [e["name"] for e in flight.events]
+
+
+def events(flight, *names):
+    """Return the names of the events of these names, in their order."""
+    return [event["name"] for event in flight.events if event["name"] in names]
+
+
+# The fixed time-to-go is too short to stop with this tilt: the lander passes its site at 10 m.
+TOO_FAST = {"time_to_go_s": 34.0, "max_tilt_deg": 20.0}
+WIDE = {"terrain": {"size_m": 800.0, "rms_slope_deg": 0.0}}
+
+
+@pytest.mark.parametrize("law", ["apollo", "e-guidance"])
+def test_a_lander_that_passes_its_site_hovers_and_approaches_again(blind, law):
+    simulation, flight = flown(blind, approach=TOO_FAST, guidance={"kind": law}, **WIDE)
+    followed = events(flight, "hover", "approach", "vertical-descent")
+    assert followed == ["hover", "approach", "vertical-descent"]
+    assert next(e["distance"] for e in flight.events if e["name"] == "hover") > 10.0
+    assert landed_well(simulation, flight, 1.5)
+    hovering = flight.trajectory["phase"] == 4
+    assert hovering.any()
+    # It climbs above the glideslope of the second approach.
+    assert flight.trajectory["position_z"][hovering].max() > 15.0
+
+
+def test_without_the_propellant_for_a_second_approach_it_lands_where_it_hovers(blind):
+    """The reserve leaves no path to the site; the vertical descent goes straight down."""
+    simulation, flight = flown(blind, approach=TOO_FAST | {"reserve_kg": 545.0}, **WIDE)
+    assert events(flight, "hover", "approach", "vertical-descent") == ["hover", "vertical-descent"]
+    assert landed_well(simulation, flight, 0.5)
+    assert np.hypot(*flight.outcome.touchdown.position[:2]) > 20.0
+
+
+def test_a_postponement_near_the_terrain_is_refused(blind):
+    """A gust of the estimate at 15 m exceeds the limits; a longer path would climb again."""
+    simulation = Simulation(blind, 3, "no-divert")
+    computer = simulation.computer
+    while computer.altitude > 15.0:
+        simulation.step()
+    arrival = computer._phases.arrival
+    moved = replace(computer.estimate, position=computer.estimate.position + [12.0, 0.0, 0.0])
+    computer._phases.extend(replace(computer.status, estimate=moved))
+    assert computer._phases.arrival == arrival
+    time, name, details = computer.telemetry[-1]
+    assert name == "postponement-refused"
+    assert details["seconds"] > 5.0
+    computer._phases.extend(replace(computer.status, estimate=moved, altitude=25.0))
+    assert computer._phases.arrival > arrival + 5.0
+
+
+@pytest.mark.parametrize(
+    ("engine", "thrust_min"),
+    [
+        ({"continuous_min_n": 5500.0, "pulse_period_s": 0.1}, 200.0),
+        ({"continuous_min_n": 4000.0, "pulse_period_s": 0.5, "min_pulse_s": 0.1}, 500.0),
+    ],
+    ids=["on-off", "throttles above 73 %"],
+)
+def test_engines_that_cannot_throttle_deeply_land(blind, engine, thrust_min):
+    vehicle = {
+        "kind": "jet-lander", "propellant_mass_kg": 300.0, "thrust_max_n": 5500.0,
+        "thrust_min_n": thrust_min, "engine": engine,
+    }  # fmt: skip
+    simulation, flight = flown(blind, vehicle=vehicle, control={"kind": "phase-plane"})
+    assert flight.outcome.safe
+    assert landed_well(simulation, flight)
 
 
 def test_other_laws_bring_it_down(blind):

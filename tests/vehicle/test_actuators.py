@@ -242,3 +242,33 @@ def test_clusters_stand_as_on_the_lunar_module():
     assert JetLander(thrusters=thrusters).torque_max == pytest.approx(
         (4 * 746.8, 4 * 746.8, 4 * 746.8), rel=1e-3
     )
+
+
+@pytest.mark.parametrize(("throttle", "min_pulse"), [(700.0, 0.0), (700.0, 0.04), (2700.0, 0.04)])
+def test_an_engine_in_pulses_has_the_commanded_mean_thrust(throttle, min_pulse):
+    """The engine is on or off; times shorter than a pulse are added to the next one."""
+    engine = DescentEngine(continuous_min=3000.0, pulse_period=0.1, min_pulse=min_pulse)
+    lander = replace(LANDER, engine=engine, thrust_max=3000.0, thrust_min=300.0, thrust_lag=0.0)
+    actuators = Actuators(lander, STEP)
+    assert actuators.set_throttle(throttle) == throttle
+    states = run(actuators, 400, start(lander), throttle=throttle)
+    burnt = lander.wet_mass - states[-1].mass
+    assert burnt == pytest.approx(throttle / lander.exhaust_velocity * 400 * STEP, rel=5e-3)
+    flows = -np.diff([s.mass for s in states]) / STEP * lander.exhaust_velocity
+    on = np.flatnonzero(np.diff(flows > 1.0))  # steps before the engine starts or stops
+    assert len(on) > 15
+    assert np.diff(on).min() * STEP >= min_pulse - 1e-9
+
+
+def test_an_engine_throttles_above_its_continuous_minimum():
+    engine = DescentEngine(continuous_min=2000.0, pulse_period=0.2)
+    lander = replace(LANDER, engine=engine, thrust_lag=0.0)
+    states = run(Actuators(lander, STEP), 20, start(lander), throttle=2500.0)
+    flows = -np.diff([s.mass for s in states]) / STEP * lander.exhaust_velocity
+    assert flows == pytest.approx(np.full(len(flows), 2500.0), rel=1e-3)
+    with pytest.raises(InputError, match="continuous_min_n"):
+        replace(LANDER, engine=replace(engine, continuous_min=LANDER.thrust_max + 1.0))
+    with pytest.raises(InputError, match="min_pulse"):
+        replace(engine, min_pulse=0.15)
+    with pytest.raises(InputError, match="gap_upper"):
+        replace(engine, gap_lower=2500.0, gap_upper=3000.0)

@@ -100,7 +100,7 @@ class VehicleParams:
             raise InputError(
                 "control.kind", type(control).__name__, "must be 'pd' in this environment"
             )
-        lander.check_hover(scenario.gravity_m_s2)
+        scenario.check_hover()
         true_lander = scenario.true_lander()
         randomization = (
             None if scenario.domain_randomization is None else scenario.domain_randomization.make()

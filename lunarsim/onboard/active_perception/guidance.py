@@ -403,9 +403,7 @@ class InformationSeekingGuidance:
 
     def _lateral_acceleration(self, mass: float) -> float:
         """Return the lateral acceleration available for a divert at a mass (kg), m/s^2."""
-        lander = self.lander
-        margin = self.limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
-        max_acceleration = (lander.thrust_max - margin) / mass
+        max_acceleration = self.limits.thrust_range(self.lander)[1] / mass
         spare = np.sqrt(max(max_acceleration**2 - self.gravity**2, 1e-4))
         return float(min(self.gravity * np.tan(self.limits.max_tilt), spare))
 

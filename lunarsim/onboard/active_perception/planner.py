@@ -332,12 +332,11 @@ def vehicle_params(estimate: Estimate, lander: Lander, gravity: float, limits: P
     """Return the `params` of the kernel `evaluate_path` (7,).
 
     They are gravity, m/s^2, mass, kg, exhaust velocity, m/s, minimum and maximum thrust reduced by
-    the throttle margin, N, and the tangents of the limits of tilt and glideslope.
+    the throttle margins, N, and the tangents of the limits of tilt and glideslope.
     """
-    margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     return np.array([
-        gravity, estimate.mass, lander.exhaust_velocity, lander.thrust_min + margin,
-        lander.thrust_max - margin, np.tan(limits.max_tilt), np.tan(limits.glideslope),
+        gravity, estimate.mass, lander.exhaust_velocity, *limits.thrust_range(lander),
+        np.tan(limits.max_tilt), np.tan(limits.glideslope),
     ])  # fmt: skip
 
 

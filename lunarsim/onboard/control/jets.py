@@ -64,6 +64,7 @@ class JetLoop(AttitudeLoop):
         self.failure_detector = ThrusterFailureDetector(lander.thrusters.count)
         self._com = np.zeros(3)
         self._rate: Array | None = None
+        self._impulse = np.zeros(3)
         self._started = False
 
     @property
@@ -120,11 +121,11 @@ class JetLoop(AttitudeLoop):
         limit = self.vehicle.engine.gimbal_limit
         return np.asarray(np.clip(gimbal_angles, -limit, limit))
 
-    def _detect_failures(self) -> None:
-        """Update the failure detector with the last period; stop using failed thrusters.
+    def _measure_last_period(self) -> None:
+        """Trim the gimbal and exclude failed thrusters, from the last rate change.
 
-        The detector compares the measured rate change of the period with the commanded one. Failed
-        thrusters stay in use if the others cannot produce a torque in every direction.
+        The failure detector compares the measured rate change of the period with the commanded
+        one. Failed thrusters stay in use if the others cannot produce a torque in every direction.
         """
         rate, before = self.state[4:7].copy(), self._rate
         self._rate = rate
@@ -140,6 +141,7 @@ class JetLoop(AttitudeLoop):
             left = ThrusterAllocation(jets, self.failure_detector.failed)
             if left.spans_all_torques:
                 self.allocation = left
+        self._trim_gimbal(self._impulse - self.inertia * (rate - before))
 
     def _command_thrusters(self) -> None:
         """Compute and store the on-times and gimbal angles of the next period.
@@ -147,7 +149,7 @@ class JetLoop(AttitudeLoop):
         Thrusters that failed in the last period are excluded first. The mean torque of the firings
         is written to `state[7:]`.
         """
-        self._detect_failures()
+        self._measure_last_period()
         error = np.empty(3)
         rotation_vector_between(self.state[:4], self.target, error)
         rate, inertia, period = self.state[4:7].copy(), self.inertia, self.period
@@ -168,13 +170,15 @@ class JetLoop(AttitudeLoop):
             most = self.allocation.min_impulse
             self._carry = np.clip(impulse - given, -most, most)
         self.propellant_used += self.vehicle.thrusters.propellant_flow * float(self.on_times.sum())
+        self._impulse = given
         self.state[7:] = given / period
-        self._trim_gimbal(given)
 
     def _trim_gimbal(self, impulse: Array) -> None:
-        """Move the gimbal to take over the steady part of the thruster torque.
+        """Move the gimbal to take over the thruster torque that opposes a disturbance.
 
-        `impulse` (3,), N m s, is the angular impulse of the thrusters in the current period.
+        `impulse` (3,), N m s, is the angular impulse of the thrusters in the last period, without
+        the part that changed the angular rate. With that part, the gimbal would move during a slew
+        and then work against the thrusters that end it.
         """
         engine = self.vehicle.engine
         pull = self._thrust * self._arm

@@ -13,6 +13,12 @@ from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.divert_cost import PathLimits
 from lunarsim.parts.quantity import check_bounds, quantity
 
+# The lander is near the terrain below this multiple of the altitude at which the approach ends.
+_NEAR_TERRAIN_RATIO = 2.0
+# Height above the end of the approach from which it can begin again: this multiple of the height
+# of the glideslope, plus this height, m.
+_GLIDESLOPE_CLEARANCE, _MIN_APPROACH_HEIGHT_M = 1.2, 3.0
+
 
 @dataclass(frozen=True)
 class Approach:
@@ -42,10 +48,13 @@ class Approach:
     takeover_altitude
         Altitude of the footpads at which the approach ends regardless of time-to-go, as in a pilot
         takeover, m.
-    max_tilt, glideslope, reserve, throttle_margin
+    max_late_postponement
+        Maximum postponement of the landing by a new time-to-go to the same site, below twice
+        `vertical_altitude`, s.
+    max_tilt, glideslope, reserve, throttle_margin, lower_throttle_margin
         Path constraints: maximum tilt of the thrust and minimum elevation of the path seen from its
-        end, rad, propellant reserve, kg, and fraction of the thrust range reserved for feedback at
-        each end.
+        end, rad, propellant reserve, kg, and fractions of the thrust range reserved for feedback at
+        its upper and its lower end (None: as at the upper end).
     """
 
     vertical_altitude: float = quantity(
@@ -96,6 +105,13 @@ class Approach:
         help="height of the footpads above the site at which the approach ends before it reaches "
         "vertical_altitude_m, as in a takeover by a pilot; 0: no such end",
     )
+    max_late_postponement: float = quantity(
+        5.0,
+        "s",
+        ge=0,
+        help="maximum postponement of the landing by a new time-to-go to the same site, if the "
+        "height of the footpads is below twice vertical_altitude_m",
+    )
     max_tilt: float = quantity(
         40.0, "deg", gt=0, lt=85, help="maximum angle of the thrust from the vertical"
     )
@@ -114,8 +130,15 @@ class Approach:
         0.08,
         ge=0,
         lt=0.5,
-        help="fraction of the thrust range, at each of its ends, that planned paths reserve for "
+        help="fraction of the thrust range, at its upper end, that planned paths reserve for "
         "feedback",
+    )
+    lower_throttle_margin: float | None = quantity(
+        None,
+        ge=0,
+        lt=0.5,
+        help="fraction of the thrust range, at its lower end, that planned paths reserve for "
+        "feedback; omitted: throttle_margin",
     )
 
     def __post_init__(self) -> None:
@@ -150,10 +173,27 @@ class Approach:
         end = max(self.vertical_altitude, self.takeover_altitude)
         return altitude <= end or time_to_go <= self.end_time_to_go
 
+    def allows_postponement(self, seconds: float, altitude: float) -> bool:
+        """Return whether the landing may be postponed by `seconds` at an altitude (m)."""
+        near = altitude < _NEAR_TERRAIN_RATIO * self.vertical_altitude
+        return not near or seconds <= self.max_late_postponement
+
+    def hover_height(self, distance: float) -> float:
+        """Return the height (m) from which an approach can begin again.
+
+        It is above the site, for the footpads. `distance` is the horizontal distance from the site,
+        m; the lander must be above the glideslope of the next approach.
+        """
+        rise = _GLIDESLOPE_CLEARANCE * distance * float(np.tan(self.glideslope))
+        return self.vertical_altitude + rise + _MIN_APPROACH_HEIGHT_M
+
     @property
     def limits(self) -> PathLimits:
         """Constraints on thrust, tilt, glideslope and propellant of the path."""
-        return PathLimits(self.max_tilt, self.glideslope, self.reserve, self.throttle_margin)
+        return PathLimits(
+            self.max_tilt, self.glideslope, self.reserve, self.throttle_margin,
+            self.lower_throttle_margin,
+        )  # fmt: skip
 
     def end(self, sites: ArrayLike, lander: Lander) -> PhaseEnd:
         """Return the end state of the approach to one site (3,) or to sites (n, 3).

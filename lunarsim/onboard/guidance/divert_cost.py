@@ -33,13 +33,22 @@ class PathLimits:
     reserve
         Propellant reserve at the target, kg.
     throttle_margin
-        Fraction of the thrust range reserved for feedback at each end.
+        Fraction of the thrust range reserved for feedback at its upper end.
+    lower_throttle_margin
+        The same at its lower end; None: as at the upper end.
     """
 
     max_tilt: float = np.deg2rad(40.0)
     glideslope: float = np.deg2rad(8.0)
     reserve: float = 15.0
     throttle_margin: float = 0.08
+    lower_throttle_margin: float | None = None
+
+    def thrust_range(self, lander: Lander) -> tuple[float, float]:
+        """Return the minimum and maximum thrust of planned paths of a lander, N."""
+        upper, lower = self.throttle_margin, self.lower_throttle_margin
+        lower, throttle = upper if lower is None else lower, lander.thrust_max - lander.thrust_min
+        return lander.thrust_min + lower * throttle, lander.thrust_max - upper * throttle
 
 
 @dataclass(frozen=True)
@@ -136,12 +145,11 @@ def divert_params(
     """Pack path shape, end state, lander and limits for compiled functions.
 
     `gravity` is the downward acceleration, m/s^2. The thrust range is reduced by the throttle
-    margin of `limits`; the position of `end` is not included.
+    margins of `limits`; the position of `end` is not included.
     """
-    margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     params = (
-        gravity, lander.wet_mass, lander.exhaust_velocity, lander.thrust_min + margin,
-        lander.thrust_max - margin, np.tan(limits.max_tilt), np.tan(limits.glideslope),
+        gravity, lander.wet_mass, lander.exhaust_velocity, *limits.thrust_range(lander),
+        np.tan(limits.max_tilt), np.tan(limits.glideslope),
     )  # fmt: skip
     masses = (
         lander.thrust_max / lander.dry_mass, lander.dry_mass, lander.exhaust_velocity,

@@ -222,11 +222,10 @@ class NeuralGuidance:
     def _matches_training(self, end: PhaseEnd) -> bool:
         """Return whether vehicle, gravity, limits and end velocity are those of training."""
         lander, limits = self.lander, self.limits
-        margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
         params = np.array(
             [
-                self.gravity, lander.thrust_min + margin, lander.thrust_max - margin,
-                lander.exhaust_velocity, -end.velocity[2], limits.max_tilt, limits.glideslope,
+                self.gravity, *limits.thrust_range(lander), lander.exhaust_velocity,
+                -end.velocity[2], limits.max_tilt, limits.glideslope,
             ]
         )  # fmt: skip
         is_vertical = float(np.hypot(end.velocity[0], end.velocity[1])) < 1e-6

@@ -285,7 +285,7 @@ class OptimalGuidance:
         """
         lander, limits = self.lander, self.limits
         throttle = lander.thrust_max - lander.thrust_min
-        margin, thrust_slack = (m * throttle for m in (limits.throttle_margin, self._upper_margin))
+        thrust_slack = self._upper_margin * throttle
         displacement = position - end.position
         horizontal = float(np.hypot(displacement[0], displacement[1]))
         # A lander below the glideslope gets a lower glideslope.
@@ -293,7 +293,8 @@ class OptimalGuidance:
         glideslope = max(min(limits.glideslope, elevation - np.deg2rad(0.5)), 0.0)
         return Descent(
             position, velocity, mass, end.position, end.velocity, self.gravity,
-            lander.thrust_min + margin, lander.thrust_max - thrust_slack, lander.exhaust_velocity,
+            limits.thrust_range(lander)[0], lander.thrust_max - thrust_slack,
+            lander.exhaust_velocity,
             lander.dry_mass + min(limits.reserve, 0.5 * (mass - lander.dry_mass)),
             limits.max_tilt, glideslope, _APEX_DEPTH_M, thrust_slack=thrust_slack,
             max_final_tilt=self.settings.max_final_tilt, tilt_rate=self.settings.tilt_rate,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from lunarsim.core.guidance import VerticalDescentParams, vertical_descent_command
 from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.contract import PhaseEnd, require_finite_state
+from lunarsim.onboard.guidance.rotation import RotationLimits
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import check_bounds, hidden, quantity
 from lunarsim.typing import Array
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 _MAX_FREQUENCY_LAG = 0.33
 # Fraction of the horizontal velocity that a climb removes per second.
 _CLIMB_DAMPING_PER_S = 0.2
+# Minimum and maximum vertical speed of a hover that changes its height, m/s.
+_HOVER_SPEEDS_M_S = (-2.0, 4.0)
 
 
 class TerminalDescentLaw(Protocol):
@@ -36,6 +39,22 @@ class TerminalDescentLaw(Protocol):
 
         `end` has the position of the centre of mass at touchdown and the nominal velocity; `time`
         is in s.
+        """
+        ...
+
+
+@runtime_checkable
+class Hovers(Protocol):
+    """Terminal descent law that can refuse to begin far from its site, and can hover."""
+
+    def can_reach(self, estimate: Estimate, end: PhaseEnd) -> bool:
+        """Return whether the terminal descent leads to the site of `end` from a state."""
+        ...
+
+    def hover(self, estimate: Estimate, height: float) -> Array:
+        """Return the thrust acceleration (3,), ENU, m/s^2, of a hover at a height.
+
+        `height` is that of the centre of mass, local frame, m.
         """
         ...
 
@@ -77,6 +96,9 @@ class VerticalDescent:
         Minimum descent speed as a fraction of the nominal one, once little propellant is left.
     hold_propellant
         Propellant below which the lander no longer holds its height, kg.
+    max_offset
+        Horizontal distance from the site at which the lander may stop, m. If it would stop farther
+        away, the vertical descent does not begin: the lander hovers and approaches again.
     dry_mass
         Mass of the lander without propellant, kg.
     """
@@ -140,6 +162,13 @@ class VerticalDescent:
         "must exceed the error of the estimate",
     )
     dry_mass: float = hidden(0.0)
+    max_offset: float = quantity(
+        10.0,
+        "m",
+        gt=0,
+        help="horizontal distance from the site at which the lander can stop when the vertical "
+        "descent is due; if it is larger, the lander hovers and approaches the site again",
+    )
 
     def __post_init__(self) -> None:
         check_bounds(self, "terminal_descent")
@@ -156,13 +185,15 @@ class VerticalDescent:
     def build(self, briefing: Briefing, lag: float) -> VerticalDescent:
         """Return the law for the lander, gravity and total response lag (s) of a flight.
 
-        A control with a limited slew rate adds the time of a slew by the maximum tilt to the lag.
+        A control with a limited slew rate adds the time of a slew by the maximum tilt to the lag,
+        or half of the time of this rotation at the lander's torque if that is longer.
         The product of frequency and lag is at most 0.33, where the loop with lag is still as damped
         as the loop without.
         """
-        control = briefing.software.control
+        control, lander = briefing.software.control, briefing.lander
         if isinstance(control, SlewLimitedControl):
-            lag += control.turning_time(self.max_tilt)
+            rotation = RotationLimits.of(lander, control).time(self.max_tilt, lander.dry_mass)
+            lag += max(control.turning_time(self.max_tilt), 0.5 * float(rotation))
         return self.for_lag(lag, briefing.surface_gravity, briefing.lander.dry_mass)
 
     def for_lag(self, lag: float, gravity: float, dry_mass: float) -> VerticalDescent:
@@ -184,10 +215,36 @@ class VerticalDescent:
         )  # fmt: skip
         return command
 
+    def can_reach(self, estimate: Estimate, end: PhaseEnd) -> bool:
+        """Return whether the lander can stop within `max_offset` of the site of `end`.
+
+        It stops with the horizontal deceleration at the maximum tilt.
+        """
+        velocity = estimate.velocity[:2]
+        stopping_time = float(np.hypot(*velocity)) / (self.gravity * np.tan(self.max_tilt))
+        stop = estimate.position[:2] + 0.5 * stopping_time * velocity
+        return float(np.hypot(*(stop - end.position[:2]))) <= self.max_offset
+
+    def hover(self, estimate: Estimate, height: float) -> Array:
+        """Return the thrust acceleration (3,), ENU, m/s^2, of a hover at a height.
+
+        The lander stops horizontally and moves to the `height` of the centre of mass, local frame,
+        m, with the gains of the vertical descent and at most twice its maximum tilt.
+        """
+        require_finite_state(estimate)
+        speed = float(np.clip(self.frequency * (height - estimate.position[2]), *_HOVER_SPEEDS_M_S))
+        wanted = self.gravity + self.speed_gain * (speed - float(estimate.velocity[2]))
+        up = max(wanted, 0.3 * self.gravity)
+        sideways = -2.0 * self.damping * self.frequency * estimate.velocity[:2]
+        size, most = float(np.hypot(*sideways)), up * float(np.tan(2.0 * self.max_tilt))
+        return np.array([*(sideways * min(most / max(size, 1e-12), 1.0)), up])
+
     @property
     def params(self) -> VerticalDescentParams:
         """Parameters for compiled functions."""
-        return VerticalDescentParams(*(float(getattr(self, f.name)) for f in fields(self)))
+        return VerticalDescentParams(
+            *(float(getattr(self, name)) for name in VerticalDescentParams._fields)
+        )
 
 
 def descent_law(settings: Any, briefing: Any, lag: float) -> TerminalDescentLaw:

@@ -281,11 +281,28 @@ def test_the_gimbal_swings_no_faster_than_it_can_and_by_the_arm_of_the_mass():
         made = loop(law, lander)
         made.torque()
         given = made.allocation.impulse(made.on_times)
+        for _ in range(made.period_steps):  # the lander does not rotate: a torque is compensated
+            made.propagate(np.zeros(3))
+            made.torque()
         arm = lander.engine.pivot_depth + 0.4
         free = -given[:2] / (2400.0 * arm * 4.0)  # taken over in 4 s
         assert (np.abs(free) > 2e-4).all()
         most = rate * made.period
         assert made.gimbal == pytest.approx(np.clip(free, -most, most), rel=1e-9)
+
+
+def test_the_gimbal_does_not_move_in_a_slew():
+    """The thrusters' impulse changes the rate as it should: no torque is left to take over."""
+    law = Asking([30.0, -20.0, 0.0])
+    made, rate = loop(law), np.zeros(3)
+    for _ in range(200):
+        made.torque()
+        rate = (
+            rate + made.allocation.impulse(made.on_times) / made.period * made.step / made.inertia
+        )
+        made.propagate(rate * made.step)
+    assert np.abs(rate[:2]).min() > 0.01
+    assert np.abs(made.gimbal).max() < 2e-5
 
 
 def test_what_thrusters_could_not_give_is_forgotten_but_for_a_pulse():
