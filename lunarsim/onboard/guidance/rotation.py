@@ -105,9 +105,10 @@ class RotationLimits:
     def time(self, angle: Array | float, mass: float) -> Array:
         """Return the shortest time of a rotation by an angle (...), rad, in s.
 
-        The rotation is from rest to rest. A bang-bang manoeuvre takes ``2 sqrt(angle / acceleration)``. If its peak rate ``sqrt(angle
-        acceleration)`` exceeds the maximum rate w, the lander coasts in between and needs
-        ``angle / w + w / acceleration``. `mass` is that of the lander, kg.
+        The rotation is from rest to rest. A bang-bang manoeuvre takes ``2 sqrt(angle /
+        acceleration)``. If its peak rate ``sqrt(angle acceleration)`` exceeds the maximum rate w,
+        the lander coasts in between and needs ``angle / w + w / acceleration``. `mass` is that of
+        the lander, kg.
         """
         a, w = self.acceleration(mass), self.max_rate
         angle = np.maximum(np.asarray(angle, dtype=np.float64), 0.0)
