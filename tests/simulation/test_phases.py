@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
+from lunarsim.onboard.phases import Phase
+from lunarsim.onboard.policies.contract import Decision
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from tests.worlds import SCENARIOS
@@ -72,6 +74,7 @@ def events(flight, *names):
     return [event["name"] for event in flight.events if event["name"] in names]
 
 
+DIVERTS = [(300.0, (60.0, 0.0, 0.0)), (150.0, (-40.0, 30.0, 0.0)), (80.0, (0.0, -25.0, 0.0))]
 # The fixed time-to-go is too short to stop with this tilt: the lander passes its site at 10 m.
 TOO_FAST = {"time_to_go_s": 34.0, "max_tilt_deg": 20.0}
 WIDE = {"terrain": {"size_m": 800.0, "rms_slope_deg": 0.0}}
@@ -131,6 +134,32 @@ def test_engines_that_cannot_throttle_deeply_land(blind, engine, thrust_min):
     simulation, flight = flown(blind, vehicle=vehicle, control={"kind": "phase-plane"})
     assert flight.outcome.safe
     assert landed_well(simulation, flight)
+
+
+@pytest.mark.parametrize("force", [8.0, 12.0])
+def test_a_lander_with_weak_thrusters_keeps_its_limits_after_diverts(blind, force):
+    """Diverts at 300, 150 and 80 m; default thrusters have 60 N."""
+    vehicle = {
+        "kind": "jet-lander", "propellant_mass_kg": 400.0, "thrusters": {"force_n": force},
+    }  # fmt: skip
+    scenario = blind.changed(
+        vehicle=vehicle, control={"kind": "phase-plane"},
+        terrain={"size_m": 300.0, "rms_slope_deg": 0.0},
+    )  # fmt: skip
+    simulation, diverts = Simulation(scenario, 3, "no-divert"), DIVERTS.copy()
+    computer, tilts, rates = simulation.computer, [], []
+    while not simulation.done:
+        simulation.step()
+        x, y = simulation.state.attitude[:2]
+        tilts.append(np.arccos(1.0 - 2.0 * (x * x + y * y)))
+        rates.append(np.abs(simulation.state.rate).max())
+        if diverts and computer.altitude < diverts[0][0] and computer.phase == Phase.APPROACH:
+            shift = np.array(diverts.pop(0)[1])
+            computer.apply(Decision(site=computer.site + shift, reason="test"))
+    assert not diverts
+    assert simulation.outcome.safe
+    assert np.rad2deg(max(tilts)) < 40.0 + 5.0
+    assert np.rad2deg(max(rates)) < 10.0 + 0.5
 
 
 def test_other_laws_bring_it_down(blind):
