@@ -13,6 +13,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.mapper import sensor_names
 from lunarsim.parts import PartSettings, kinds
 from lunarsim.scenario.scenario import Scenario
+from lunarsim.vehicle.true_vehicle import VehicleDeviations
 
 # Plausible radius of gyration over the radius of the leg circle. A solid sphere has 0.63, a thin
 # ring 1.
@@ -44,6 +45,7 @@ def warnings_for(scenario: Scenario) -> list[str]:
     figures = list(_lander_warnings(lander)) if isinstance(lander, Lander) else []
     return [
         *figures,
+        *_true_lander_warnings(scenario),
         *_unused_key_warnings(scenario),
         *_sensor_warnings(scenario),
         *_randomization_warnings(scenario),
@@ -51,6 +53,20 @@ def warnings_for(scenario: Scenario) -> list[str]:
 
 
 # --- inconsistent lander parameters -------------------------------------------------------------
+
+
+def _true_lander_warnings(scenario: Scenario) -> Iterator[str]:
+    """Yield a warning if the true lander, unlike the nominal one, cannot hover."""
+    if scenario.truth.make().vehicle == VehicleDeviations():
+        return
+    lander = scenario.true_lander()
+    thrust = lander.thrust_scale * lander.thrust_max
+    weight = lander.wet_mass * scenario.gravity_m_s2
+    if thrust <= weight:
+        yield (
+            f"truth.vehicle: the maximum thrust of the true lander is {thrust:.0f} N, less than "
+            f"its weight of {weight:.0f} N, got thrust_scale = {lander.thrust_scale:g}."
+        )
 
 
 def _lander_warnings(lander: Lander) -> Iterator[str]:

@@ -144,3 +144,10 @@ def test_a_camera_that_no_mapper_uses_may_record():
     assert note.startswith("sensors.eye: no mapper uses its images")
     flight = Simulation(Scenario.from_dict(tables), 1, "no-divert").run()
     assert {e["sensor"] for e in flight.events if e["name"] == "image"} == {"eye"}
+
+
+@pytest.mark.parametrize(("scale", "warned"), [(0.35, True), (0.45, False)])
+def test_a_true_lander_that_cannot_hover_is_odd(scale, warned):
+    """The default lander weighs 0.38 of its maximum thrust."""
+    found = notes(truth={"vehicle": {"thrust_scale": scale}})
+    assert any(note.startswith("truth.vehicle: ") for note in found) == warned
