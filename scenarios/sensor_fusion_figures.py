@@ -259,7 +259,7 @@ def draw(flights: list[Flight], path: Path) -> None:
     from matplotlib import pyplot as plt
 
     rows = by_row(flights)
-    wide = min(len(rows), 5)
+    wide = min(len(rows) // 2 + 1, 5)  # two rows of panels, with a place for the legend
     high = -(-len(rows) // wide)
     figure, axes = plt.subplots(
         high, wide, figsize=(3.0 * wide + 0.6, 3.2 * high), sharey=True, squeeze=False

@@ -49,7 +49,7 @@ ODDS = np.linspace(-8.0, 8.0, 33)
 # "alone" has the form of the fused map but only the Gaussian DEM as input: it separates the effect
 # of the form from that of the camera.
 MAPS = {
-    "dem": "Gaussian DEM", "quadtree": "quadtree", "rocks": "shadows", "alone": "fused, DEM alone",
+    "dem": "Gaussian DEM", "quadtree": "quadtree", "rocks": "shadows", "alone": "fused, DEM only",
     "fused": "fused",
 }  # fmt: skip
 SINGLE = ("dem", "quadtree", "rocks")
