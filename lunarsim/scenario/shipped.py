@@ -25,7 +25,8 @@ def folder() -> Path:
 
 def names() -> dict[str, Path]:
     """Return the TOML files of all scenarios supplied with lunarsim, by name."""
-    return {path.stem: path for path in sorted(folder().glob("*.toml"))}
+    files = [*folder().glob("*.toml"), *folder().glob("landers/*.toml")]
+    return {path.stem: path for path in sorted(files, key=lambda path: path.stem)}
 
 
 def path_of(name: str) -> Path:

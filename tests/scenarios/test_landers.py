@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from lunarsim.scenario import Scenario
+from lunarsim.scenario import Scenario, shipped
 from lunarsim.studies import Case, report_study, run_study
 from tests.conftest import SCENARIOS
 
@@ -26,6 +27,38 @@ def test_the_lunar_module_can_be_loaded():
     # 550 ft lb per thruster, four per direction in pitch and roll.
     assert abs(lander.torque_max[0] / 4.0 - 745.7) < 3.0
     assert lander.engine.gap_lower == 28024.0
+
+
+def test_presets_differ_only_in_the_lander(script):
+    """World, sensors, navigation, map and decisions are equal; ratios are those of landers."""
+    study = script("landers", "presets")
+    tables = [study.scenario_of(vehicle, "mare").to_dict() for vehicle in study.VEHICLES]
+    own = {"name", "description", "vehicle", "control", "approach"}
+    assert all(
+        {key for key in one | tables[0] if one.get(key) != tables[0].get(key)} <= own
+        for one in tables
+    )
+    for vehicle in study.VEHICLES:
+        assert Scenario.load(shipped.path_of(vehicle)) == study.scenario_of(vehicle, "mare")
+        lander = study.scenario_of(vehicle, "ridge").vehicle.make()
+        weight = 1.622 * np.array([lander.wet_mass, lander.dry_mass])
+        assert 1.5 < lander.thrust_max / weight[0] < 4.0
+        assert 0.1 < lander.thrust_min / weight[1] < 0.8
+
+
+def test_a_preset_lands_and_is_reported(script, monkeypatch, capsys):
+    module = script("landers", "presets")
+    small = {"terrain": {"size_m": 300.0, "posting_m": 1.0, "rms_slope_deg": 1.5}, "target": {}}
+    monkeypatch.setitem(module.TERRAINS, "mare", small)
+    study = module.study
+    levels = {"vehicle": ["small_lander"], "terrain": ["mare"]}
+    (row,) = rows = run_study(study, count=1, seed=2, levels=levels)
+    assert row["safe"] and row["causes"] == []
+    assert 0.5 < row["vertical_speed"] < 1.5 and row["horizontal_speed"] < 0.5
+    assert 40.0 < row["left_kg"] < 60.0
+    report_study(study, [*rows, row | {"number": 1, "safe": False, "causes": ["tilt", "rate"]}])
+    printed = capsys.readouterr().out
+    assert "rate (1), tilt (1)" in printed and "1.82" in printed
 
 
 def test_failed_thruster_with_and_without_detection(script, capsys):

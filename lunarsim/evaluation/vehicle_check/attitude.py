@@ -26,7 +26,7 @@ _PHASE_PLANE_SHARE = 0.5
 # the default thrusters (needed over allowed time: 0.9; they land as safely as ideal attitude
 # control, docs/validation/actuators.md) from a lander of 1.9 t with thrusters of 50 N (1.1), whose
 # attitude oscillates after diverts. A ratio near 1 is therefore no proof in either direction:
-# scenarios/landers/lunar_module.toml has 1.1 and lands if it needs no late divert.
+# the lunar module with decisions down to 50 m has 1.1 and lands if it needs no late divert.
 _EXTENSION = 2.0
 # Rotations may take at most this multiple of the time at the control's slew limit.
 _MAX_SLEW_TIME_RATIO = 2.0
