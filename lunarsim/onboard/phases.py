@@ -160,9 +160,8 @@ class PhaseSequence:
         if not self._approach.is_finished(status.altitude, left):
             return
         touchdown = self._approach.touchdown_end(status.site, self._lander)
-        if isinstance(self._terminal, Hovers) and not self._terminal.can_reach(
-            status.estimate, touchdown
-        ):
+        law = self._terminal if self._approach.ends_above_site else None
+        if isinstance(law, Hovers) and not law.can_reach(status.estimate, touchdown):
             self._begin_hover(status, touchdown)
         else:
             self._begin_vertical(status)

@@ -93,6 +93,16 @@ def test_a_lander_that_passes_its_site_hovers_and_approaches_again(blind, law):
     assert flight.trajectory["position_z"][hovering].max() > 15.0
 
 
+@pytest.mark.parametrize(
+    "end", [{"takeover_altitude_m": 60.0}, {"end_time_to_go_s": 12.0}],
+    ids=["takeover", "time left"],
+)  # fmt: skip
+def test_an_approach_that_ends_on_the_way_to_the_site_does_not_hover(blind, end):
+    _, flight = flown(blind, approach=end, simulation={"max_time_s": 60.0})
+    assert "hover" not in events(flight, "hover", "vertical-descent")
+    assert "vertical-descent" in events(flight, "vertical-descent")
+
+
 def test_without_the_propellant_for_a_second_approach_it_lands_where_it_hovers(blind):
     """The reserve leaves no path to the site; the vertical descent goes straight down."""
     simulation, flight = flown(blind, approach=TOO_FAST | {"reserve_kg": 545.0}, **WIDE)

@@ -173,6 +173,18 @@ class Approach:
         end = max(self.vertical_altitude, self.takeover_altitude)
         return altitude <= end or time_to_go <= self.end_time_to_go
 
+    @property
+    def ends_above_site(self) -> bool:
+        """Whether the approach ends above the site, without horizontal velocity.
+
+        An approach that hands over to a pilot, or with time left, ends on the way to the site.
+        """
+        return (
+            self.takeover_altitude <= self.vertical_altitude
+            and self.end_time_to_go == 0.0
+            and not any((*self.arrival_offset, *self.arrival_velocity))
+        )
+
     def allows_postponement(self, seconds: float, altitude: float) -> bool:
         """Return whether the landing may be postponed by `seconds` at an altitude (m)."""
         near = altitude < _NEAR_TERRAIN_RATIO * self.vertical_altitude
