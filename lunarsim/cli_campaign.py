@@ -26,6 +26,7 @@ from lunarsim.cli_common import (
     scenario_options,
     wide_console,
 )
+from lunarsim.cli_requirements import verify
 from lunarsim.cli_start import INTERRUPTED
 from lunarsim.errors import InputError, check_folder, check_output
 
@@ -59,7 +60,11 @@ def campaign() -> None:
       lunarsim campaign run SPEC --out DIR    # fly; repeat to continue after an interrupt
       lunarsim campaign status DIR
       lunarsim campaign export DIR --out results.csv
+      lunarsim campaign verify DIR requirements.toml
     """  # noqa: D301
+
+
+campaign.add_command(verify)
 
 
 @campaign.command()

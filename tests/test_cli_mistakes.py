@@ -181,6 +181,11 @@ OWN = {
         (["gone"], ["gone", "manifest.json"]),
         (["gone", "--above", "x"], ["--above", "x"]),
     ],
+    "campaign verify": [
+        (["gone", "gone.toml"], ["requirements: ", "got 'gone.toml'", "an existing TOML file"]),
+        (["folder", GOOD], ["is an unknown table", "[[requirements]]"]),
+        (["folder", "gone.toml", "--out", "x.txt"], ["--out: ", "got 'x.txt'", ".json"]),
+    ],
     "campaign diff": [
         (["gone", "folder"], ["gone", "manifest.json"]),
         (["gone", "folder", "--margin", "2"], ["--margin", "2"]),

@@ -1,0 +1,68 @@
+"""Define the command `lunarsim campaign verify`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from lunarsim.cli_common import PATH, wide_console
+from lunarsim.errors import check_output
+
+
+@click.command()
+@click.argument("folder", type=PATH)
+@click.argument("requirements", type=PATH)
+@click.option("--out", type=PATH, default=None, help="JSON file for the verification.")
+def verify(folder: Path, requirements: Path, out: Path | None) -> None:
+    """Verify requirements on the flights of a campaign.
+
+    FOLDER has the results of a campaign. REQUIREMENTS is a TOML file with tables [[requirements]].
+    The exit code is 1 unless every requirement passes with its confidence.
+    """
+    from lunarsim.atomic_files import atomic_write_text
+    from lunarsim.campaign.requirements import load_requirements, verification_rows
+    from lunarsim.campaign.requirements import verify as verify_results
+    from lunarsim.campaign.results import load_results
+
+    if out is not None:
+        check_output("--out", out, ".json")
+    stated, results = load_requirements(requirements), load_results(folder)
+    rows = verification_rows(verify_results(results, stated))
+    _print(rows)
+    if len(results.table) < results.expected_rows:
+        click.echo(
+            f"note: the campaign is not complete: {len(results.table)} of {results.expected_rows} "
+            "flights",
+            err=True,
+        )
+    if out is not None:
+        atomic_write_text(out, json.dumps({"campaign": results.manifest["name"], "rows": rows}))
+    if any(row["status"] != "pass" for row in rows):
+        sys.exit(1)
+
+
+def _print(rows: list[dict[str, Any]]) -> None:
+    """Print one line per requirement and arm; "-" is a value that does not exist."""
+    from rich.table import Table
+
+    table = Table(
+        "Requirement", "Arm", "Limit", "Share (%)", "Confidence (%)", "Violations",
+        "Share kept,\nlower bound (%)", "Percentile", "Tolerance bound", "Margin", "Result",
+        "Flights\nmissing",
+    )  # fmt: skip
+    for row in rows:
+        most, least = row["at_most"], row["at_least"]
+        limit = f"<= {most:g}" if most is not None else "true" if least is None else f">= {least:g}"
+        numbers = ("-" if row[k] is None else f"{row[k]:.4g}"
+                   for k in ("percentile", "bound", "margin"))  # fmt: skip
+        table.add_row(
+            row["requirement"], row["arm"], f"{row['metric']} {limit}", f"{row['percentage']:g}",
+            f"{row['confidence']:g}", f"{row['violations']} of {row['flights']}",
+            f"{100.0 * row['fraction_bound']:.2f}", *numbers, row["status"],
+            str(row["missing_flights"]),
+        )  # fmt: skip
+    wide_console(170).print(table)
