@@ -208,7 +208,8 @@ def tolerance_rank(flights: int, fraction: float, level: float) -> int | None:
     """Return the rank of the order statistic that bounds a percentile, or None.
 
     The value of this rank (1 is the smallest) is at least the percentile `fraction` with the
-    confidence `level`: ``P(B < rank) >= level`` with B binomial (`flights`, `fraction`). None: too few flights.
+    confidence `level`: ``P(B < rank) >= level`` with B binomial (`flights`, `fraction`). None: too
+    few flights.
     """
     rank = int(binom.ppf(level, flights, fraction)) + 1 if flights > 0 else 1
     return rank if rank <= flights else None

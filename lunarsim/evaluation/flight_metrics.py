@@ -8,6 +8,7 @@ import numpy as np
 
 from lunarsim.evaluation.map_quality import MapQuality, map_quality
 from lunarsim.evaluation.reach import divert_cost_from
+from lunarsim.models.lander import Lander
 from lunarsim.simulation.flight import Flight
 from lunarsim.typing import Array
 from lunarsim.vehicle.touchdown import ABORTED, min_touchdown_margin
@@ -35,6 +36,14 @@ COLUMNS: dict[str, str] = {
     "roughness_m": "float",
     "tip_margin": "float",
     "touchdown_margin": "float",
+    "max_tilt_deg": "float",
+    "max_rate_deg_s": "float",
+    "lower_throttle_margin": "float",
+    "upper_throttle_margin": "float",
+    "horizontal_speed_at_10m_m_s": "float",
+    "miss_m": "float",
+    "navigation_error_m": "float",
+    "navigation_velocity_error_m_s": "float",
     "p_safe": "float",
     "map_true_safe": "int",
     "map_false_safe": "int",
@@ -43,6 +52,8 @@ COLUMNS: dict[str, str] = {
 }
 # Maximum number of safe cells tested for reachability; they are spread over the mapped terrain.
 _MAX_TESTED_SITES = 400
+# Height of the footpads at which the horizontal speed is reported, m.
+_FINAL_HEIGHT_M = 10.0
 
 
 def evaluate(flight: Flight, truth: TerrainTruth) -> dict[str, Any]:
@@ -85,6 +96,7 @@ def evaluate(flight: Flight, truth: TerrainTruth) -> dict[str, Any]:
         "tip_margin": touchdown.tip_margin if touchdown else nan,
         "touchdown_margin": min_touchdown_margin(truth.lander, touchdown) if touchdown else nan,
     }
+    row |= trajectory_metrics(flight, truth.lander)
     row["p_safe"] = predicted_p_safe(flight)
     quality = MapQuality.none()
     if flight.hazard_map is not None:
@@ -94,6 +106,42 @@ def evaluate(flight: Flight, truth: TerrainTruth) -> dict[str, Any]:
         "map_false_safe": quality.false_safe,
         "map_false_unsafe": quality.false_unsafe,
         "safe_site_in_reach": safe_site_in_reach(flight, truth),
+    }
+
+
+def trajectory_metrics(flight: Flight, lander: Lander) -> dict[str, float]:
+    """Return extremes of a flight, and the errors of navigation and guidance at its end.
+
+    Throttle margins are distances of the thrust from both ends of the range of `lander`, as
+    fractions of this range. The miss is the distance of the touchdown from the last site, whose
+    true position is that on the map minus the error of the map. Heights are those of the footpads
+    above the place of touchdown. Values that need a touchdown are NaN without one.
+    """
+    t, touchdown = flight.trajectory, flight.outcome.touchdown
+    position, velocity, rate, estimated, estimated_velocity = (
+        np.column_stack([t[f"{name}_{axis}"] for axis in "xyz"])
+        for name in ("position", "velocity", "rate", "estimated", "estimated_velocity")
+    )
+    up = 1.0 - 2.0 * (t["attitude_x"] ** 2 + t["attitude_y"] ** 2)
+    throttle = (t["thrust"] - lander.thrust_min) / (lander.thrust_max - lander.thrust_min)
+    speed = miss = float("nan")
+    if touchdown is not None:
+        height = position[:, 2] - lander.com_height - touchdown.position[2]
+        below = np.flatnonzero(height <= _FINAL_HEIGHT_M)
+        speed = float(np.hypot(*velocity[below[0], :2])) if len(below) else speed
+        site = flight.sites[-1, :2] - flight.map_error[:2]
+        miss = float(np.hypot(*(touchdown.position[:2] - site)))
+    return {
+        "max_tilt_deg": float(np.rad2deg(np.arccos(np.clip(up, -1.0, 1.0)).max())),
+        "max_rate_deg_s": float(np.rad2deg(np.linalg.norm(rate, axis=1).max())),
+        "lower_throttle_margin": float(throttle.min()),
+        "upper_throttle_margin": float(1.0 - throttle.max()),
+        "horizontal_speed_at_10m_m_s": speed,
+        "miss_m": miss,
+        "navigation_error_m": float(np.hypot(*(estimated - position)[-1, :2])),
+        "navigation_velocity_error_m_s": float(
+            np.linalg.norm((estimated_velocity - velocity)[-1])
+        ),
     }
 
 

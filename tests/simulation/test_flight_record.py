@@ -9,6 +9,7 @@ from dataclasses import asdict
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
 from lunarsim.evaluation.flight_metrics import evaluate, initial_aim_point
@@ -94,6 +95,35 @@ def test_judgement_and_figures_need_the_record_alone(flown, tmp_path):
     assert {f.name for f in (tmp_path / "figures").iterdir()} == {
         "descent.png", "maps.png", "touchdown.png",
     }  # fmt: skip
+
+
+def test_extremes_and_errors_are_those_of_the_trajectory(flown):
+    """Each value from the record by SciPy's rotations and one cycle at a time."""
+    simulation, flight = flown
+    row, t, lander = evaluate(flight, simulation.truth), flight.trajectory, simulation.lander
+    touchdown = flight.outcome.touchdown
+    tilts, rates, throttles, speed = [], [], [], None
+    for n in range(len(t["time"])):
+        attitude = Rotation.from_quat([t[f"attitude_{a}"][n] for a in "xyzw"])
+        tilts.append(np.degrees(np.arccos(attitude.apply([0.0, 0.0, 1.0])[2])))
+        rates.append(np.degrees(np.linalg.norm([t[f"rate_{a}"][n] for a in "xyz"])))
+        throttles.append(
+            (t["thrust"][n] - lander.thrust_min) / (lander.thrust_max - lander.thrust_min)
+        )
+        pads = t["position_z"][n] - lander.com_height - touchdown.position[2]
+        if speed is None and pads <= 10.0:
+            speed = np.hypot(t["velocity_x"][n], t["velocity_y"][n])
+    assert row["max_tilt_deg"] == pytest.approx(max(tilts), abs=1e-6)
+    assert row["max_rate_deg_s"] == pytest.approx(max(rates))
+    assert row["lower_throttle_margin"] == pytest.approx(min(throttles))
+    assert row["upper_throttle_margin"] == pytest.approx(1.0 - max(throttles))
+    assert row["horizontal_speed_at_10m_m_s"] == pytest.approx(speed)
+    # The site is known on the map, whose error is that of navigation when it was made.
+    aimed = simulation.site[:2] - flight.map_error[:2]
+    assert row["miss_m"] == pytest.approx(np.hypot(*(touchdown.position[:2] - aimed)))
+    assert 0.0 < row["miss_m"] < 2.0
+    error = simulation.navigation_error
+    assert row["navigation_error_m"] == pytest.approx(np.hypot(error[0], error[1]), abs=0.05)
 
 
 def test_a_divert_in_the_first_cycle_counts(small_scenario):
