@@ -110,7 +110,7 @@ def evaluate(flight: Flight, truth: TerrainTruth) -> dict[str, Any]:
 
 
 def trajectory_metrics(flight: Flight, lander: Lander) -> dict[str, float]:
-    """Return extremes of a flight, and the errors of navigation and guidance at its end.
+    """Return extremes of a flight, and errors of navigation and guidance.
 
     Throttle margins are distances of the thrust from both ends of the range of `lander`, as
     fractions of this range. The miss is the distance of the touchdown from the last site, whose
