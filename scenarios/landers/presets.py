@@ -27,7 +27,7 @@ TERRAINS: dict[str, dict[str, Any]] = {
     "mare": {},
     "highland": {
         "terrain": {
-            "kind": "fractal", "preset": "highland", "size_m": 600.0, "posting_m": 0.4,
+            "kind": "fractal", "preset": "highland", "size_m": 1000.0, "posting_m": 0.4,
             "rms_slope_deg": 4.0,
         },
         "rocks": {"shape": "mixed", "cover": 0.04},
@@ -35,7 +35,7 @@ TERRAINS: dict[str, dict[str, Any]] = {
     "ridge": {
         "terrain": {
             "kind": "dtm", "path": "../data/moon_shackleton_ridge_lola_40m.tif",
-            "dtm_posting_m": 40.0, "dtm_window": [148, 165, 46, 63], "posting_m": 0.4,
+            "dtm_posting_m": 40.0, "dtm_window": [143, 170, 34, 61], "posting_m": 0.4,
             "preset": "polar",
         },
         "rocks": {"shape": "mixed", "cover": 0.04},
