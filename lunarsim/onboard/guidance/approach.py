@@ -173,6 +173,13 @@ class Approach:
         end = max(self.vertical_altitude, self.takeover_altitude)
         return altitude <= end or time_to_go <= self.end_time_to_go
 
+    def is_cut_short(self, altitude: float, time_to_go: float) -> bool:
+        """Return whether the settings end an approach before it reaches its end.
+
+        `takeover_altitude` or `end_time_to_go` does so at an altitude (m) and a time-to-go (s).
+        """
+        return altitude > self.vertical_altitude and time_to_go > 0.0
+
     def allows_postponement(self, seconds: float, altitude: float) -> bool:
         """Return whether the landing may be postponed by `seconds` at an altitude (m)."""
         near = altitude < _NEAR_TERRAIN_RATIO * self.vertical_altitude
