@@ -6,6 +6,7 @@ import numpy as np
 
 from lunarsim.grid import Grid
 from lunarsim.onboard.guidance.divert_cost import DivertCost
+from lunarsim.onboard.guidance.rotation import RotationLimits
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.reachability import ReachabilityMap, elevation_on_grid
 from lunarsim.scenario import Scenario
@@ -16,16 +17,16 @@ _APPROACH_PHASE = 0.0
 
 
 def divert_cost_from(flight: Flight, estimate: Estimate, sites: Array) -> DivertCost:
-    """Return the guidance law's divert cost from a state of a flight to sites (n, 3).
+    """Return the onboard divert cost from a state of a flight to sites (n, 3).
 
     `estimate` is the navigation estimate of the state; sites are in the local frame, m.
     """
     scenario = Scenario.from_toml(flight.scenario)
     approach, lander = scenario.approach.make(), scenario.vehicle.make()
-    cost: DivertCost = scenario.guidance.make().cost(
-        estimate, approach.end(sites, lander), lander, scenario.gravity_m_s2, approach.limits
-    )
-    return cost
+    law, end, gravity = scenario.guidance.make(), approach.end(sites, lander), scenario.gravity_m_s2
+    cost: DivertCost = law.cost(estimate, end, lander, gravity, approach.limits)
+    rotation = RotationLimits.of(lander, scenario.control.make())
+    return rotation.limit(cost, law, estimate, end, gravity, approach.limits)
 
 
 def estimate_at_row(flight: Flight, row: int) -> Estimate:

@@ -85,7 +85,12 @@ class DescentEngine:
         "in pulses of this thrust. With thrust_max_n, the engine is on or off; 0: no pulses",
     )
     pulse_period: float = quantity(
-        0.1, "s", gt=0, le=5, help="time between two pulses of an engine that runs in pulses"
+        0.1,
+        "s",
+        gt=0,
+        le=5,
+        help="time between two pulses of an engine that runs in "
+        "pulses, rounded up to a multiple of the time step (simulation.step_s)",
     )
     min_pulse: float = quantity(
         0.0,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from enum import IntEnum
 from typing import Any
 
@@ -47,9 +48,10 @@ class PhaseSequence:
 
     A flight starts with BRAKING if the scenario has a table [braking], otherwise with APPROACH.
     BRAKING ends at its final time-to-go. APPROACH ends at an altitude or at a time-to-go. If the
-    vertical descent cannot reach the site from there, HOVER stops the lander and climbs above the
-    glideslope. Then APPROACH begins again, or VERTICAL at the place below the lander if no path
-    leads to the site. VERTICAL ends at touchdown. ABORT climbs until the end of the flight.
+    vertical descent could reach the site from the planned end, but not from there, HOVER stops the
+    lander and climbs above the glideslope. Then APPROACH begins again, or VERTICAL at the place
+    below the lander if no path leads to the site. VERTICAL ends at touchdown. ABORT climbs until
+    the end of the flight.
 
     The time-to-go counts down to the end of BRAKING or APPROACH. During BRAKING and with a given
     jerk, it is computed again in each cycle. Otherwise it is chosen by propellant: at the start of
@@ -160,11 +162,25 @@ class PhaseSequence:
         if not self._approach.is_finished(status.altitude, left):
             return
         touchdown = self._approach.touchdown_end(status.site, self._lander)
-        law = self._terminal if self._approach.ends_above_site else None
-        if isinstance(law, Hovers) and not law.can_reach(status.estimate, touchdown):
+        is_cut_short = self._approach.is_cut_short(status.altitude, left)
+        if not is_cut_short and self._has_missed(status, touchdown):
             self._begin_hover(status, touchdown)
         else:
             self._begin_vertical(status)
+
+    def _has_missed(self, status: DescentStatus, touchdown: PhaseEnd) -> bool:
+        """Return whether the approach ended too far from the site.
+
+        This is the case if the vertical descent to its end `touchdown` could begin at the planned
+        end of the approach, but not here. The result is False for a law that cannot hover.
+        """
+        if not isinstance(self._terminal, Hovers):
+            return False
+        end = self._approach.end(status.site, self._lander)
+        planned = replace(status.estimate, position=end.position, velocity=end.velocity)
+        return self._terminal.can_reach(planned, touchdown) and not self._terminal.can_reach(
+            status.estimate, touchdown
+        )
 
     def _begin_vertical(self, status: DescentStatus) -> None:
         self.phase = Phase.VERTICAL

@@ -106,7 +106,7 @@ class SiteEvaluator:
         Sites are (n, 3), local frame, m. The result also states which sites are within the limits.
         With `times` (n,), s, the cost is that of the path with this time-to-go, otherwise that of
         the minimum-propellant path. Every path leaves time for the rotation with which it begins
-        (`RotationLimits`).
+        (`RotationLimits`), so its time-to-go may be longer.
         """
         law, end = self.briefing.software.guidance, self.approach.end(sites, self.lander)
         gravity, limits = self.briefing.surface_gravity, self.approach.limits
@@ -131,9 +131,11 @@ class SiteEvaluator:
             return float(cheapest[0]), ""
         if not np.isfinite(cheapest[0]):
             return float("nan"), "out of reach"
-        if not self.cost_of(one, estimate, time_scale * cheapest).feasible[0]:
+        scaled = time_scale * cheapest
+        # The path is longer if this time is too short for the first rotation.
+        if self.cost_of(one, estimate, scaled).time_to_go[0] != scaled[0]:
             return float(cheapest[0]), "beyond the limits"
-        return time_scale * float(cheapest[0]), ""
+        return float(scaled[0]), ""
 
     def is_visible(self, site: Array, estimate: Estimate) -> bool:
         """Return whether a site (3,), m, is visible through the crew window.

@@ -57,7 +57,9 @@ GROUPS = (
     ColumnGroup(_axes("site"), "m", lambda c: c.computer.site),
     ColumnGroup(("time_to_go",), "s", lambda c: c.time_to_go),
     ColumnGroup(
-        ("phase",), "0 approach, 1 vertical descent, 2 abort, 3 braking", lambda c: c.computer.phase
+        ("phase",),
+        "0 approach, 1 vertical descent, 2 abort, 3 braking, 4 hover",
+        lambda c: c.computer.phase,
     ),
     ColumnGroup(
         ("lost",),

@@ -53,6 +53,8 @@ class Actuators:
         self._gimbal_command = np.zeros(2)
         self._throttle: float | None = None
         self._pulse, self._pulse_end, self._carried_pulse = 0.0, 0.0, 0.0
+        # Pulses begin with a step: other periods would change the mean thrust.
+        self._pulse_period = step * max(np.ceil(lander.engine.pulse_period / step - 1e-9), 1.0)
         self._time = 0.0
         self.gimbal = np.zeros(2)
         self.spent = 0.0
@@ -127,14 +129,15 @@ class Actuators:
         """Return the mean thrust of the next step, N, for a throttle setting, N.
 
         Time on or off that is shorter than the minimum pulse is carried to the next pulse. A pulse
-        that ends within a step counts with its fraction of the step.
+        that ends within a step counts with its fraction of the step. The period is rounded up to
+        a multiple of the step.
         """
         engine, level = self.lander.engine, self.lander.engine.continuous_min
         if not 0.0 < throttle < level:
             self._pulse_end = self._time
             return throttle
         if self._time >= self._pulse_end - 1e-9:
-            period, shortest = engine.pulse_period, engine.min_pulse
+            period, shortest = self._pulse_period, engine.min_pulse
             wanted = period * throttle / level + self._carried_pulse
             on = wanted if wanted >= shortest else 0.0
             on = on if on <= period - shortest else period

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
+from lunarsim.models.lander import Lander
 from lunarsim.onboard.phases import Phase
 from lunarsim.onboard.policies.contract import Decision
 from lunarsim.scenario import Scenario
@@ -75,6 +76,7 @@ def events(flight, *names):
 
 
 DIVERTS = [(300.0, (60.0, 0.0, 0.0)), (150.0, (-40.0, 30.0, 0.0)), (80.0, (0.0, -25.0, 0.0))]
+LANDER = Lander()
 # The fixed time-to-go is too short to stop with this tilt: the lander passes its site at 10 m.
 TOO_FAST = {"time_to_go_s": 34.0, "max_tilt_deg": 20.0}
 WIDE = {"terrain": {"size_m": 800.0, "rms_slope_deg": 0.0}}
@@ -93,14 +95,54 @@ def test_a_lander_that_passes_its_site_hovers_and_approaches_again(blind, law):
     assert flight.trajectory["position_z"][hovering].max() > 15.0
 
 
+@pytest.mark.parametrize("law", ["optimal", "neural-optimal"])
+def test_a_law_that_plans_its_arrival_plans_again_after_a_hover(blind, law):
+    """The hover is forced at 20 m; the plan from before it is not followed."""
+    simulation = Simulation(blind.changed(guidance={"kind": law}), 3, "no-divert")
+    computer = simulation.computer
+    while computer.altitude > 20.0:
+        simulation.step()
+    before = computer.guidance.arrival
+    computer._phases._begin_hover(computer.status, computer.approach.end(computer.site, LANDER))
+    flight = simulation.run()
+    assert events(flight, "hover", "approach", "vertical-descent") == [
+        "hover", "approach", "vertical-descent",
+    ]  # fmt: skip
+    assert computer.guidance.arrival > before + 5.0
+    assert flight.outcome.touchdown.horizontal_speed < 0.5
+
+
 @pytest.mark.parametrize(
-    "end", [{"takeover_altitude_m": 60.0}, {"end_time_to_go_s": 12.0}],
-    ids=["takeover", "time left"],
+    "approach",
+    [
+        {"takeover_altitude_m": 60.0}, {"arrival_offset_m": [15.0, 0.0]},
+        {"arrival_velocity_m_s": [4.0, 0.0]}, {"end_time_to_go_s": 8.0},
+    ],
+    ids=lambda changes: next(iter(changes)),
 )  # fmt: skip
-def test_an_approach_that_ends_on_the_way_to_the_site_does_not_hover(blind, end):
-    _, flight = flown(blind, approach=end, simulation={"max_time_s": 60.0})
-    assert "hover" not in events(flight, "hover", "vertical-descent")
-    assert "vertical-descent" in events(flight, "vertical-descent")
+def test_an_approach_that_is_planned_to_end_elsewhere_does_not_hover(blind, approach):
+    _, flight = flown(blind, approach=approach, **WIDE)
+    assert events(flight, "hover", "approach", "vertical-descent") == ["vertical-descent"]
+    assert flight.outcome.touchdown.horizontal_speed < 0.6
+
+
+def test_a_time_scale_leaves_time_for_the_first_rotation(blind):
+    """At 0.5 of the time-to-go, a strong lander has a path, but a weak one rotates too slowly."""
+    simulation = Simulation(blind, 3, "no-divert")
+    simulation.step()
+    evaluator, attitude = simulation.computer.site_evaluator, np.array([0.0, -0.17, 0.0, 0.98])
+    state = replace(
+        simulation.estimate, position=np.array([-300.0, 0.0, 250.0]),
+        velocity=np.array([20.0, 0.0, -15.0]), attitude=attitude / np.linalg.norm(attitude),
+    )  # fmt: skip
+    site = np.zeros(3)
+    evaluator._rotation = replace(evaluator._rotation, torque=10.0)
+    longer, _ = evaluator.time_to(site, state)
+    one = site[None], state, np.array([0.5 * longer])
+    assert evaluator.time_to(site, state, 0.5) == (longer, "beyond the limits")
+    assert evaluator.time_to(site, state, 0.6) == (pytest.approx(0.6 * longer), "")
+    evaluator._rotation = replace(evaluator._rotation, torque=600.0)
+    assert evaluator.cost_of(*one).time_to_go[0] == 0.5 * longer
 
 
 def test_without_the_propellant_for_a_second_approach_it_lands_where_it_hovers(blind):

@@ -260,6 +260,16 @@ def test_an_engine_in_pulses_has_the_commanded_mean_thrust(throttle, min_pulse):
     assert np.diff(on).min() * STEP >= min_pulse - 1e-9
 
 
+@pytest.mark.parametrize("period", [0.3 * STEP, 1.5 * STEP, 4.2 * STEP])
+def test_pulses_have_the_commanded_mean_thrust_at_every_period(period):
+    """A pulse begins with a step, so a period of 4.2 steps lasts 5 steps."""
+    engine = DescentEngine(continuous_min=3000.0, pulse_period=period)
+    lander = replace(LANDER, engine=engine, thrust_max=3000.0, thrust_min=300.0, thrust_lag=0.0)
+    states = run(Actuators(lander, STEP), 400, start(lander), throttle=1200.0)
+    burnt = lander.wet_mass - states[-1].mass
+    assert burnt == pytest.approx(1200.0 / lander.exhaust_velocity * 400 * STEP, rel=5e-3)
+
+
 def test_an_engine_throttles_above_its_continuous_minimum():
     engine = DescentEngine(continuous_min=2000.0, pulse_period=0.2)
     lander = replace(LANDER, engine=engine, thrust_lag=0.0)

@@ -173,17 +173,12 @@ class Approach:
         end = max(self.vertical_altitude, self.takeover_altitude)
         return altitude <= end or time_to_go <= self.end_time_to_go
 
-    @property
-    def ends_above_site(self) -> bool:
-        """Whether the approach ends above the site, without horizontal velocity.
+    def is_cut_short(self, altitude: float, time_to_go: float) -> bool:
+        """Return whether the settings end an approach before it reaches its end.
 
-        An approach that hands over to a pilot, or with time left, ends on the way to the site.
+        `takeover_altitude` or `end_time_to_go` does so at an altitude (m) and a time-to-go (s).
         """
-        return (
-            self.takeover_altitude <= self.vertical_altitude
-            and self.end_time_to_go == 0.0
-            and not any((*self.arrival_offset, *self.arrival_velocity))
-        )
+        return altitude > self.vertical_altitude and time_to_go > 0.0
 
     def allows_postponement(self, seconds: float, altitude: float) -> bool:
         """Return whether the landing may be postponed by `seconds` at an altitude (m)."""

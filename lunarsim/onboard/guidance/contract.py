@@ -95,7 +95,8 @@ class PlansArrival(Protocol):
     Attributes
     ----------
     arrival
-        Planned time of arrival at the phase end, s; None: not known yet.
+        Planned time of arrival at the phase end, s; None: not known yet. The onboard computer sets
+        it to None when the approach begins again after a hover; earlier plans are then invalid.
     events
         Events so far: time (s), name, details.
     """

@@ -110,7 +110,7 @@ class NeuralGuidance:
     Attributes
     ----------
     arrival
-        Planned time of arrival at the end, s; None before the first command.
+        Planned time of arrival at the end, s; None when the approach begins.
     events
         Events: time (s), name ("guidance-fallback", "guidance-planned"), details.
     evaluation_count, violation_count
@@ -156,11 +156,14 @@ class NeuralGuidance:
         require_finite_state(estimate, end)
         check_finite("guidance.time_to_go", time_to_go)
         self._lag_model.advance(time)
-        if self._end is None or _horizontal_distance(self._end, end) > _DIVERT_DISTANCE_M:
+        if (
+            self.arrival is None  # the approach begins, perhaps again after a hover
+            or self._end is None
+            or _horizontal_distance(self._end, end) > _DIVERT_DISTANCE_M
+        ):
             self._end, self._next_attempt, self._is_terminal = end, -np.inf, False
             self._is_following = False
             self.arrival = time + time_to_go
-        assert self.arrival is not None
         thrust = None
         if not self._is_terminal and time >= self._next_attempt - 1e-9:
             thrust = self._evaluate_network(estimate, end, time)

@@ -114,7 +114,7 @@ class RotationLimits:
         angle = np.maximum(np.asarray(angle, dtype=np.float64), 0.0)
         if not np.isfinite(w):
             return np.asarray(2.0 * np.sqrt(angle / a))
-        bang_bang = angle * a <= w * w
+        bang_bang = angle <= w * w / a
         return np.where(bang_bang, 2.0 * np.sqrt(angle / a), angle / w + w / a)
 
     def min_time_to_go(self, rotation: Array, mass: float, shape: PathShape) -> Array:

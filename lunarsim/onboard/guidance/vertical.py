@@ -229,14 +229,15 @@ class VerticalDescent:
         """Return the thrust acceleration (3,), ENU, m/s^2, of a hover at a height.
 
         The lander stops horizontally and moves to the `height` of the centre of mass, local frame,
-        m, with the gains of the vertical descent and at most twice its maximum tilt.
+        m, with the gains of the vertical descent. The tangent of the tilt is at most twice that of
+        the maximum tilt of the vertical descent.
         """
         require_finite_state(estimate)
         speed = float(np.clip(self.frequency * (height - estimate.position[2]), *_HOVER_SPEEDS_M_S))
         wanted = self.gravity + self.speed_gain * (speed - float(estimate.velocity[2]))
         up = max(wanted, 0.3 * self.gravity)
         sideways = -2.0 * self.damping * self.frequency * estimate.velocity[:2]
-        size, most = float(np.hypot(*sideways)), up * float(np.tan(2.0 * self.max_tilt))
+        size, most = float(np.hypot(*sideways)), 2.0 * up * float(np.tan(self.max_tilt))
         return np.array([*(sideways * min(most / max(size, 1e-12), 1.0)), up])
 
     @property

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.lander import Lander
 from lunarsim.models.thrusters import Thrusters
-from lunarsim.onboard.control.attitude import ProportionalDerivative
+from lunarsim.onboard.control.attitude import IdealAttitude, ProportionalDerivative
 from lunarsim.onboard.control.phase_plane import PhasePlane
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.paths import APOLLO, E_GUIDANCE
@@ -50,6 +50,12 @@ def test_rotation_times_are_bang_bang_until_the_rate_limit(angle, expected):
     lander = Lander()
     limits = RotationLimits(0.05 * max(lander.inertia(1300.0)[:2]), 0.2, 0.0, lander)
     assert limits.time(angle, 1300.0) == pytest.approx(expected, rel=1e-4)
+
+
+def test_ideal_attitude_control_rotates_at_its_rate_limit():
+    limits = RotationLimits.of(Lander(), IdealAttitude(slew_limit=0.2))
+    with np.errstate(all="raise"):
+        assert limits.time(np.array([0.0, 0.5]), 1300.0) == pytest.approx([0.0, 2.5])
 
 
 def test_the_phase_plane_uses_the_weakest_axis_and_half_of_it_to_brake():

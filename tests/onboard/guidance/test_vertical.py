@@ -159,8 +159,9 @@ def test_the_vertical_descent_reaches_what_lies_within_its_stopping_distance(
     assert VerticalDescent(gravity=G).can_reach(state, GROUND) == reaches
 
 
-def test_a_hover_stops_the_lander_at_the_wanted_height():
-    law = VerticalDescent(gravity=G)
+@pytest.mark.parametrize("max_tilt", [12.0, 50.0])
+def test_a_hover_stops_the_lander_at_the_wanted_height(max_tilt):
+    law = VerticalDescent(gravity=G, max_tilt=np.deg2rad(max_tilt))
     r, v = np.array([0.0, 0.0, 12.0]), np.array([20.0, -9.0, -1.0])
     for _ in range(6000):
         thrust = law.hover(estimate(r, v), 30.0)
