@@ -166,13 +166,6 @@ def slosh_torque(
 # --- values of the checks ------------------------------------------------------------------------
 
 
-def _keys(mission: Mission) -> dict[str, str]:
-    """Return the scenario keys that determine the control torque, for texts."""
-    jets = isinstance(mission.lander, JetLander)
-    thrusters = "vehicle.thrusters.force_n or vehicle.thrusters.cluster_radius_m"
-    return {"torque": thrusters if jets else "vehicle.torque_max_n_m"}
-
-
 def _approach_rotation(mission: Mission) -> list[Found]:
     """Return the rotation between two samples of the path with the largest ratio of times.
 
@@ -186,7 +179,7 @@ def _approach_rotation(mission: Mission) -> list[Found]:
         delay = guidance_delay(mission, path.time_to_go - float(time[i]))
         allowed, needed = float(time[j] - time[i]) + 2.0 * delay, turn_time(mission, angle)
         worst = max(worst, (needed / allowed, needed, allowed, np.rad2deg(angle)))
-    return one(worst[1], worst[2], angle=worst[3], **_keys(mission))
+    return one(worst[1], worst[2], angle=worst[3])
 
 
 def _divert_rotation(mission: Mission) -> list[Found]:
@@ -205,8 +198,7 @@ def _divert_rotation(mission: Mission) -> list[Found]:
         return []
     d = max(mission.reachable, key=lambda d: times(d)[0] / times(d)[1])
     return one(
-        *times(d), angle=np.rad2deg(d.rotation), distance=d.distance, altitude=d.altitude,
-        **_keys(mission),
+        *times(d), angle=np.rad2deg(d.rotation), distance=d.distance, altitude=d.altitude
     )  # fmt: skip
 
 
@@ -226,7 +218,7 @@ def _terminal_loop(mission: Mission) -> list[Found]:
     law = settings.build(known, mission.software.control.response_time + lag)
     delay = 0.5 * turn_time(mission, law.max_tilt, mission.touchdown_mass) + lag
     available = delay_margin(law.frequency**2, 2.0 * law.damping * law.frequency)
-    return one(delay, available, angle=np.rad2deg(law.max_tilt), **_keys(mission))
+    return one(delay, available, angle=np.rad2deg(law.max_tilt))
 
 
 def _braking(mission: Mission) -> list[Found]:
@@ -242,7 +234,7 @@ def _braking(mission: Mission) -> list[Found]:
         needed = control.frequency * slew_limit(mission) / (4.0 * control.damping)
     if needed is None or np.isinf(needed):
         return []
-    return one(tilt_acceleration(mission, mission.start_mass), needed, **_keys(mission))
+    return one(tilt_acceleration(mission, mission.start_mass), needed)
 
 
 def _overshoot(mission: Mission) -> list[Found]:
@@ -295,77 +287,56 @@ def _slosh(mission: Mission) -> list[Found]:
 
 
 def _thruster_propellant(mission: Mission) -> list[Found]:
-    """Return the propellant of the thrusters for four rotations and the engine's offset torque.
+    """Return the propellant of the thrusters for four rotations, and what the lander has.
 
-    The angular impulse H is ``2 I w`` of each rotation, with the peak rate w, plus the mean torque
-    that the gimbal does not remove times the duration. With the minimum total thrust k per torque
-    (1/m) of `ThrusterAllocation`, the propellant is ``k H / (Isp g0)``.
+    A rotation needs the angular impulse ``H = 2 I w`` with its peak rate w. With the minimum total
+    thrust k per torque (1/m) of `ThrusterAllocation`, the propellant is ``k H / (Isp g0)``.
     """
     lander = mission.lander
-    if not isinstance(lander, JetLander) or not has_torques(mission):
+    if not isinstance(lander, JetLander):
         return []
     inertia = float(lander.inertia(mission.start_mass)[:2].max())
     alpha = tilt_acceleration(mission, mission.start_mass)
     peak = min(slew_limit(mission), float(np.sqrt(alpha * mission.largest_rotation)))
-    thrust = float(np.mean(mission.path.thrust))
-    steady = np.mean([trim_and_rest(lander, m, thrust)[1].max() for m, _ in _offsets(mission)])
-    duration = float(mission.path.time[-1]) + mission.terminal_time
-    torque = min(float(steady), float(allocation_of(lander.thrusters).authority[:2].max()))
-    impulse = _ROTATIONS * 2.0 * inertia * peak + torque * duration
     allocation = allocation_of(lander.thrusters)
     per_torque = max(float(allocation.group_thrust(axis).sum()) for axis in np.eye(3)[:2])
     exhaust = lander.thrusters.specific_impulse * STANDARD_GRAVITY
-    return one(per_torque * impulse / exhaust, lander.thrusters.propellant)
+    needed = per_torque * _ROTATIONS * 2.0 * inertia * peak / exhaust
+    return one(needed, lander.thrusters.propellant)
 
 
 ATTITUDE_CHECKS = (
-    Check(
-        "approach-rotation-time", "attitude",
-        "time of a rotation on the approach ({angle:.0f} deg)", "s", _approach_rotation,
-        "the thrust lags behind guidance and the lander misses the end of the approach: raise "
-        "{torque}, or control.slew_limit_deg_s, or extend approach.time_to_go_s",
-    ),
-    Check(
-        "divert-rotation-time", "attitude",
-        "time of the rotation by {angle:.0f} deg for a divert of {distance:.0f} m at "
-        "{altitude:.0f} m altitude", "s", _divert_rotation,
+    Check("approach-rotation-time", "attitude", "time of a rotation on the approach ({angle:.0f} "
+        "deg)", "s", _approach_rotation, "the thrust lags behind guidance and the lander misses "
+        "the end of the approach: raise {torque}, or control.slew_limit_deg_s, or extend "
+        "approach.time_to_go_s"),
+    Check("divert-rotation-time", "attitude", "time of the rotation by {angle:.0f} deg for a "
+        "divert of {distance:.0f} m at {altitude:.0f} m altitude", "s", _divert_rotation,
         "guidance reacts to its own late rotations, and the tilt oscillates with growing "
         "amplitude: raise {torque}, or control.slew_limit_deg_s, or decisions.last_altitude_m",
-        wanted_margin=_EXTENSION - 1.0,
-    ),
-    Check(
-        "terminal-loop-delay", "attitude",
-        "delay of a tilt by {angle:.0f} deg in the terminal descent", "s", _terminal_loop,
-        "the lander swings during the terminal descent and touches down with horizontal speed: "
-        "raise {torque}, or control.slew_limit_deg_s", wanted_margin=0.25,
-    ),
-    Check(
-        "control-braking", "attitude", "angular acceleration that the control needs for stopping",
+        wanted_margin=_EXTENSION - 1.0),
+    Check("terminal-loop-delay", "attitude", "delay of a tilt by {angle:.0f} deg in the terminal "
+        "descent", "s", _terminal_loop, "the lander swings during the terminal descent and touches "
+        "down with horizontal speed: raise {torque}, or control.slew_limit_deg_s",
+        wanted_margin=0.25),
+    Check("control-braking", "attitude", "angular acceleration that the control needs for stopping",
         "deg/s^2", _braking, "the torque saturates and rotations overshoot: lower "
-        "control.frequency_rad_s, slew_limit_deg_s or braking_rad_s2, or raise {torque}", "at most",
-    ),
-    Check(
-        "control-period", "attitude", "overshoot in one control period against the dead band",
+        "control.frequency_rad_s, slew_limit_deg_s or braking_rad_s2, or raise {torque}",
+        "at most"),
+    Check("control-period", "attitude", "overshoot in one control period against the dead band",
         "deg", _overshoot, "each correction overshoots the opposite edge of the dead band and the "
         "attitude oscillates: lower control.period_s or vehicle.thrusters.force_n, or raise "
-        "control.dead_band_deg", "at most",
-    ),
-    Check(
-        "offset-torque", "disturbance", "control torque against the engine's offset torque", "N m",
-        _offset_torque, "the engine rotates the lander faster than the thrusters can stop it: move "
-        "vehicle.com_full_m and vehicle.com_dry_m to the engine's axis, or raise "
-        "vehicle.engine.gimbal_limit_deg or vehicle.thrusters.force_n", wanted_margin=1.0,
-    ),
-    Check(
-        "slosh-torque", "disturbance", "control torque against the torque of sloshing propellant",
+        "control.dead_band_deg", "at most"),
+    Check("offset-torque", "disturbance", "control torque against the engine's offset torque",
+        "N m", _offset_torque, "the engine rotates the lander faster than the thrusters can stop "
+        "it: move vehicle.com_full_m and vehicle.com_dry_m to the engine's axis, or raise "
+        "vehicle.engine.gimbal_limit_deg or vehicle.thrusters.force_n", wanted_margin=1.0),
+    Check("slosh-torque", "disturbance", "control torque against the torque of sloshing propellant",
         "N m", _slosh, "slosh rotates the lander after each divert: add tanks or baffles "
         "(vehicle.slosh.tanks_m, vehicle.slosh.damping), lower vehicle.slosh.radius_m, or raise "
-        "vehicle.thrusters.force_n", wanted_margin=1.0,
-    ),
-    Check(
-        "propellant-thrusters", "propellant",
-        "propellant of the thrusters for rotations and trim", "kg", _thruster_propellant,
-        "the lander loses attitude control before touchdown: raise vehicle.thrusters.propellant_kg,"
-        " or remove the engine's offset torque", wanted_margin=1.0,
-    ),
+        "vehicle.thrusters.force_n", wanted_margin=1.0),
+    Check("propellant-thrusters", "propellant", "propellant of the thrusters for rotations and "
+        "trim", "kg", _thruster_propellant, "the lander loses attitude control before touchdown: "
+        "raise vehicle.thrusters.propellant_kg, or remove the engine's offset torque",
+        wanted_margin=1.0),
 )  # fmt: skip

@@ -103,102 +103,93 @@ def _tip_over(mission: Mission) -> list[Found]:
     return one(lander.horizontal_speed_limit, speed, slope=np.rad2deg(slope))
 
 
+def _touchdown_speed(mission: Mission) -> list[Found]:
+    """Return the speed limit, and the descent speed plus the error that the throttle leaves.
+
+    A thrust error F gives the vertical descent with gain k a speed error of ``F / (m k)``. The
+    throttle leaves its dead band plus half a step.
+    """
+    lander, law = mission.lander, _vertical_descent(mission)
+    error, gain = 0.0, law.speed_gain if law else VerticalDescent().speed_gain
+    if isinstance(lander, JetLander):
+        error = lander.engine.dead_band + 0.5 * lander.engine.throttle_step
+    speed = mission.software.approach.vertical_descent_speed
+    return one(lander.vertical_speed_limit, speed + error / (mission.touchdown_mass * gain))
+
+
 def _touchdown_tilt(mission: Mission) -> list[Found]:
     """Return the tilt limit, and the tilt that law and attitude control allow at touchdown.
 
-    It is the maximum tilt of the law at touchdown plus the dead band of a phase-plane control.
+    The law reduces its maximum tilt linearly over the last metres. The attitude lags behind by the
+    response time of the control; a phase-plane control leaves its dead band.
     """
-    settings = mission.software.terminal_descent or VerticalDescent()
-    if not isinstance(settings, VerticalDescent):
+    law, control = _vertical_descent(mission), mission.software.control
+    if law is None:
         return []
-    control = mission.software.control
-    band = control.dead_band if isinstance(control, PhasePlane) else 0.0
-    return one(mission.lander.tilt_limit, settings.max_tilt_at_touchdown + band)
+    height = mission.software.approach.vertical_descent_speed * control.response_time
+    lag = (law.max_tilt - law.max_tilt_at_touchdown) * min(height / law.full_tilt_height, 1.0)
+    error = control.dead_band if isinstance(control, PhasePlane) else lag
+    return one(mission.lander.tilt_limit, law.max_tilt_at_touchdown + error)
+
+
+def _vertical_descent(mission: Mission) -> VerticalDescent | None:
+    """Return the settings of the vertical descent; None for another law."""
+    settings = mission.software.terminal_descent or VerticalDescent()
+    return settings if isinstance(settings, VerticalDescent) else None
 
 
 DESCENT_CHECKS = (
-    Check(
-        "approach-path", "path", "number of planned paths within the limits of angles", "",
+    Check("approach-path", "path", "number of planned paths within the limits of angles", "",
         _approach_path, "no path leads from the start to the target, or the given time-to-go does "
         "not suit it: raise approach.max_tilt_deg, lower approach.glideslope_deg, or change "
-        "start.position_m or approach.time_to_go_s",
-    ),
-    Check(
-        "approach-thrust-max", "throttle", "maximum thrust against the approach", "N",
-        lambda m: one(m.path.thrust.max(), m.lander.thrust_max),
-        "the lander does not brake as planned and falls short of the end of the approach: raise "
-        "vehicle.thrust_max_n, or extend approach.time_to_go_s", wanted_margin=0.05,
-    ),
-    Check(
-        "approach-thrust-min", "throttle", "minimum thrust against the approach", "N",
-        lambda m: one(m.path.thrust.min(), m.lander.thrust_min),
-        "the engine cannot throttle down far enough and the lander flies above its path: lower "
-        "vehicle.thrust_min_n, or change start.velocity_m_s", "at most",
-    ),
-    Check(
-        "terminal-thrust-max", "throttle", "maximum thrust against the terminal descent", "N",
-        lambda m: one(m.terminal_thrust, m.lander.thrust_max),
-        "the lander cannot hold its rate of descent: raise vehicle.thrust_max_n, or lower "
-        "approach.vertical_speed_m_s", wanted_margin=0.1,
-    ),
-    Check(
-        "terminal-thrust-min", "throttle", "minimum thrust against the weight at touchdown", "N",
+        "start.position_m or approach.time_to_go_s"),
+    Check("approach-thrust-max", "throttle", "maximum thrust against the approach", "N",
+        lambda m: one(m.path.thrust.max(), m.lander.thrust_max), "the lander does not brake as "
+        "planned and falls short of the end of the approach: raise vehicle.thrust_max_n, or extend "
+        "approach.time_to_go_s", wanted_margin=0.05),
+    Check("approach-thrust-min", "throttle", "minimum thrust against the approach", "N",
+        lambda m: one(m.path.thrust.min(), m.lander.thrust_min), "the engine cannot throttle down "
+        "far enough and the lander flies above its path: lower vehicle.thrust_min_n, or change "
+        "start.velocity_m_s", "at most"),
+    Check("terminal-thrust-max", "throttle", "maximum thrust against the terminal descent", "N",
+        lambda m: one(m.terminal_thrust, m.lander.thrust_max), "the lander cannot hold its rate of "
+        "descent: raise vehicle.thrust_max_n, or lower approach.vertical_speed_m_s",
+        wanted_margin=0.1),
+    Check("terminal-thrust-min", "throttle", "minimum thrust against the weight at touchdown", "N",
         lambda m: one(m.touchdown_mass * (m.gravity - _DOWNWARD_RESERVE_M_S2), m.lander.thrust_min),
         "the lander does not descend and climbs as its mass decreases: lower vehicle.thrust_min_n, "
-        "or raise vehicle.dry_mass_kg", "at most", 0.05,
-    ),
-    Check(
-        "engine-lag", "throttle", "duration of the terminal descent against the lag of the engine",
-        "s", lambda m: one(m.lander.thrust_lag, m.terminal_time),
-        "the lander cannot correct its speed before touchdown: lower vehicle.thrust_lag_s, or raise"
-        " approach.vertical_altitude_m", wanted_margin=1.0,
-    ),
-    Check(
-        "throttle-gap", "throttle", "share of the descent with commands inside the throttle gap",
+        "or raise vehicle.dry_mass_kg", "at most", 0.05),
+    Check("engine-lag", "throttle", "duration of the terminal descent against the lag of the "
+        "engine", "s", lambda m: one(m.lander.thrust_lag, m.terminal_time), "the lander cannot "
+        "correct its speed before touchdown: lower vehicle.thrust_lag_s, or raise "
+        "approach.vertical_altitude_m", wanted_margin=1.0),
+    Check("throttle-gap", "throttle", "share of the descent with commands inside the throttle gap",
         "", _gap, "the engine alternates between both ends of the gap and the lander leaves its "
         "path: move vehicle.engine.gap_lower_n and gap_upper_n away from the weight at touchdown, "
-        "or change approach.time_to_go_s", "at most",
-    ),
-    Check(
-        "propellant-nominal", "propellant", "propellant for approach and reserve", "kg",
-        lambda m: one(nominal_propellant(m), m.lander.propellant_mass),
-        "the tanks are empty before touchdown: raise vehicle.propellant_mass_kg, lower "
-        "approach.reserve_kg, or start closer to the target", wanted_margin=0.05,
-    ),
-    Check(
-        "propellant-divert", "propellant",
-        "propellant for the same descent with a divert to the edge of the map", "kg",
-        _divert_propellant, "safe sites near the edge of the map are refused for lack of "
-        "propellant: raise vehicle.propellant_mass_kg, lower approach.reserve_kg, or reduce size_m "
-        "of the map", wanted_margin=0.05,
-    ),
-    Check(
-        "divert-reach", "propellant",
-        "radius in reach at the first decision against half the radius of the map", "m", _reach,
-        "most of the mapped sites are out of reach: raise decisions.first_altitude_m, "
-        "approach.max_tilt_deg or vehicle.thrust_max_n", wanted_margin=0.99,
-    ),
-    Check(
-        "tip-over-speed", "gear", "horizontal speed that tips the lander over on {slope:.3g} deg",
-        "m/s", _tip_over, "the lander tips over at a speed or on a slope that counts as safe: lower"
-        " vehicle.horizontal_speed_limit_m_s or com_height_m, or raise vehicle.leg_radius_m",
-        wanted_margin=0.25,
-    ),
-    Check(
-        "touchdown-speed", "gear", "vertical speed at touchdown", "m/s",
-        lambda m: one(m.lander.vertical_speed_limit, m.software.approach.vertical_descent_speed),
-        "every landing violates the limit: lower approach.descent_speed_m_s or "
-        "approach.vertical_speed_m_s, or raise vehicle.vertical_speed_limit_m_s", "at most", 0.1,
-    ),
-    Check(
-        "touchdown-tilt", "gear", "tilt that guidance and dead band allow at touchdown", "deg",
+        "or change approach.time_to_go_s", "at most"),
+    Check("propellant-nominal", "propellant", "propellant for approach and reserve", "kg",
+        lambda m: one(nominal_propellant(m), m.lander.propellant_mass), "the tanks are empty "
+        "before touchdown: raise vehicle.propellant_mass_kg, lower approach.reserve_kg, or start "
+        "closer to the target", wanted_margin=0.05),
+    Check("propellant-divert", "propellant", "propellant for the same descent with a divert to the "
+        "edge of the map", "kg", _divert_propellant, "safe sites near the edge of the map are "
+        "refused for lack of propellant: raise vehicle.propellant_mass_kg, lower "
+        "approach.reserve_kg, or reduce size_m of the map", wanted_margin=0.05),
+    Check("divert-reach", "propellant", "radius in reach at the first decision against half the "
+        "radius of the map", "m", _reach, "most of the mapped sites are out of reach: raise "
+        "decisions.first_altitude_m, approach.max_tilt_deg or vehicle.thrust_max_n",
+        wanted_margin=0.99),
+    Check("tip-over-speed", "gear", "horizontal speed that tips the lander over on {slope:.3g} deg",
+        "m/s", _tip_over, "the lander tips over at a speed or on a slope that counts as safe: "
+        "lower vehicle.horizontal_speed_limit_m_s or com_height_m, or raise vehicle.leg_radius_m",
+        wanted_margin=0.25),
+    Check("touchdown-speed", "gear", "vertical speed at touchdown", "m/s", _touchdown_speed,
+        "landings violate the limit: lower approach.descent_speed_m_s, "
+        "vehicle.engine.dead_band_n or throttle_step_n", "at most", 0.1),
+    Check("touchdown-tilt", "gear", "tilt that guidance and attitude control allow at touchdown", "deg",
         _touchdown_tilt, "corrections of the last seconds violate the limit, or the lander drifts: "
-        "lower control.dead_band_deg, or raise vehicle.tilt_limit_deg", "at most", 0.25,
-    ),
-    Check(
-        "belly-clearance", "maps", "clearance under the body against the roughness limit", "m",
-        lambda m: one(m.lander.roughness_limit, m.lander.belly_clearance),
-        "rocks that count as safe touch the body: raise vehicle.belly_clearance_m, or lower "
-        "vehicle.roughness_limit_m",
-    ),
+        "lower control.dead_band_deg, or raise vehicle.tilt_limit_deg", "at most", 0.25),
+    Check("belly-clearance", "maps", "clearance under the body against the roughness limit", "m",
+        lambda m: one(m.lander.roughness_limit, m.lander.belly_clearance), "rocks that count as "
+        "safe touch the body: raise vehicle.belly_clearance_m, or lower vehicle.roughness_limit_m"),
 )  # fmt: skip

@@ -18,6 +18,7 @@ from lunarsim.evaluation.vehicle_check.descent import (
     unlimited_lander,
 )
 from lunarsim.frames import angle_between
+from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.hazards.fusion import FusedMapperSettings
@@ -139,6 +140,12 @@ class Mission:
         change = float(np.linalg.norm(now - velocity))
         mass = lander.wet_mass * float(np.exp(-change / lander.exhaust_velocity))
         return as_estimate(at, now, mass)
+
+    @property
+    def torque_keys(self) -> str:
+        """Scenario keys that determine the control torque, for texts."""
+        jets = "vehicle.thrusters.force_n or cluster_radius_m"
+        return jets if isinstance(self.lander, JetLander) else "vehicle.torque_max_n_m"
 
     @property
     def start_mass(self) -> float:
@@ -320,25 +327,20 @@ class Mission:
     @property
     def notes(self) -> tuple[str, ...]:
         """Sentences about simplifications for this scenario."""
-        scenario, kind, (name, parts) = (
-            self.scenario,
-            self.scenario.guidance.kind,
-            self.decision_map,
-        )
-        open_path = kind in ("optimal", "neural-optimal", "information-seeking")
+        scenario, law, (name, parts) = self.scenario, self.software.guidance, self.decision_map
+        kind = scenario.guidance.kind
+        is_open = kind in ("optimal", "neural-optimal", "information-seeking")
         cases = {
             f"guidance '{kind}': its paths have no closed form; an Apollo path with its "
-            "time-to-go is checked.": open_path or not hasattr(self.software.guidance, "shape"),
-            "braking: only its minimum propellant is included; thrust and rotations of the "
-            "braking phase are not checked.": self.software.braking is not None,
-            "moon: the approach is checked over flat terrain in uniform gravity.":
-                scenario.moon is not None,
+            "time-to-go is checked.": is_open or not hasattr(law, "shape"),
+            "braking: only its minimum propellant is checked.": self.software.braking is not None,
+            "moon: terrain is flat and gravity uniform in this check.": scenario.moon is not None,
             f"mappers.{name}: states no size_m; diverts are not checked.":
                 bool(name) and not any(hasattr(p, "size") for p in parts),
-            "truth.vehicle: the lander is checked without these deviations.":
+            "truth.vehicle: these deviations are not checked.":
                 scenario.true_lander() != self.lander,
             "faults: the lander is checked without faults.": scenario.faults is not None,
-            "approach: no path keeps approach.max_tilt_deg and glideslope_deg; only gear and maps "
-            "are checked.": not self.path.is_within_limits,
+            "approach: no path keeps its limits of angles; only gear and maps are checked.":
+                not self.path.is_within_limits,
         }  # fmt: skip
         return tuple(text for text, applies in cases.items() if applies)

@@ -171,15 +171,15 @@ class Check(NamedTuple):
 
     def rows(self, mission: Any) -> list[CheckRow]:
         """Return the rows of a mission."""
-        scale = _PER_SI_UNIT.get(self.unit, 1.0)
-        return [
-            CheckRow(
-                self.name.format(**words), self.subject, self.quantity.format(**words),
-                scale * required, scale * available, self.unit,
-                f"Otherwise {self.advice.format(**words)}.", self.sense, self.wanted_margin,
-            )
-            for required, available, words in self.values(mission)
-        ]  # fmt: skip
+        scale, rows = _PER_SI_UNIT.get(self.unit, 1.0), []
+        for required, available, words in self.values(mission):
+            texts = (self.name, self.quantity, f"Otherwise {self.advice}.")
+            name, quantity, advice = (t.format(torque=mission.torque_keys, **words) for t in texts)
+            rows.append(CheckRow(
+                name, self.subject, quantity, scale * required, scale * available, self.unit,
+                advice, self.sense, self.wanted_margin,
+            ))  # fmt: skip
+        return rows
 
 
 def format_value(value: float) -> str:
