@@ -11,14 +11,13 @@ import numpy as np
 
 from lunarsim.evaluation.vehicle_check.descent import path_shape
 from lunarsim.evaluation.vehicle_check.mission import Divert, Mission
-from lunarsim.evaluation.vehicle_check.rows import Check, Found, one
+from lunarsim.evaluation.vehicle_check.rows import AT_LEAST, AT_MOST, Check, Found, one
 from lunarsim.frames import angle_between
 from lunarsim.models.jet_lander import JetLander
-from lunarsim.models.lander import STANDARD_GRAVITY, Lander
+from lunarsim.models.lander import Lander
 from lunarsim.models.thrusters import Thrusters
 from lunarsim.onboard.control.allocation import ThrusterAllocation
 from lunarsim.onboard.control.phase_plane import PhasePlane
-from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.typing import Array
 
 # The phase-plane law brakes rotations with half of the authority (`PhasePlane.rate_change`).
@@ -31,8 +30,6 @@ _PHASE_PLANE_SHARE = 0.5
 _EXTENSION = 2.0
 # Fill fractions at which slosh is examined.
 _FILLS = (1.0, 0.75, 0.5, 0.25, 0.1)
-# Rotations of a descent with one divert: approach, divert, its reversal and pitch-over.
-_ROTATIONS = 4
 
 
 # --- formulas ------------------------------------------------------------------------------------
@@ -110,16 +107,11 @@ def tilt_acceleration(mission: Mission, mass: float) -> float:
     with the share s of the acceleration a needs the time of a rotation with the harmonic mean ``2 a
     s / (1 + s)``. Control that commands no torques has no limit.
     """
-    if not has_torques(mission):
+    if not getattr(mission.software.control, "torques", True):
         return np.inf
     share = _PHASE_PLANE_SHARE if isinstance(mission.software.control, PhasePlane) else 1.0
     inertia = float(mission.lander.inertia(mass)[:2].max())
     return tilt_torque(mission.lander) / inertia * 2.0 * share / (1.0 + share)
-
-
-def has_torques(mission: Mission) -> bool:
-    """Return whether the attitude control commands torques."""
-    return bool(getattr(mission.software.control, "torques", True))
 
 
 def turn_time(mission: Mission, angle: float, mass: float | None = None) -> float:
@@ -128,19 +120,18 @@ def turn_time(mission: Mission, angle: float, mass: float | None = None) -> floa
     return rotation_time(angle, acceleration, slew_limit(mission))
 
 
-def trim_and_rest(lander: JetLander, mass: float, thrust: float) -> tuple[Array, Array]:
-    """Return gimbal angles that trim the engine (2,), rad, and torques that remain (2,), N m.
+def offset_torques(lander: JetLander, mass: float, thrust: float) -> Array:
+    """Return the engine's torque about body x and y that the gimbal leaves (2,), N m.
 
-    Both are about body x and y. With the offset c of the centre of mass from the engine's axis, the
-    arm a from the gimbal's pivot to the centre of mass and the gimbal angle d, the torque is ``F (c
-    cos d - a sin d)``. The gimbal removes it at ``tan d = c / a``; beyond its limit the rest
-    remains. `mass` is in kg, `thrust` F in N.
+    With the offset c of the centre of mass from the engine's axis, the arm a from the gimbal's
+    pivot to the centre of mass and the gimbal angle d, the torque is ``F (c cos d - a sin d)``. The
+    gimbal removes it at ``tan d = c / a``; beyond its limit the rest remains. `mass` is in kg,
+    `thrust` F in N.
     """
     com = lander.com(mass)
-    arm, offset = max(lander.engine.pivot_depth + float(com[2]), 1e-6), np.abs(com[[1, 0]])
-    trim = np.arctan2(offset, arm)
-    d = np.minimum(trim, lander.engine.gimbal_limit)
-    return trim, np.maximum(thrust * (offset * np.cos(d) - arm * np.sin(d)), 0.0)
+    arm, offset = max(lander.engine.pivot_depth + float(com[2]), 0.0), np.abs(com[[1, 0]])
+    d = np.minimum(np.arctan2(offset, arm), lander.engine.gimbal_limit)
+    return np.asarray(thrust * (offset * np.cos(d) - arm * np.sin(d)))
 
 
 def slosh_torque(
@@ -208,14 +199,12 @@ def _terminal_loop(mission: Mission) -> list[Found]:
     The delay is half the time of a rotation by the maximum tilt of the law, plus the lag of the
     engine. The loop of the law is ``a = -f^2 x - 2 z f v``.
     """
-    settings: Any = mission.software.terminal_descent or VerticalDescent()
-    if not isinstance(settings, VerticalDescent) or not has_torques(mission):
+    settings = mission.vertical_descent
+    if settings is None:
         return []
-    known: Any = SimpleNamespace(
-        software=mission.software, surface_gravity=mission.gravity, lander=mission.lander
-    )
-    lag = mission.lander.thrust_lag
-    law = settings.build(known, mission.software.control.response_time + lag)
+    lander, software, lag = mission.lander, mission.software, mission.lander.thrust_lag
+    known: Any = SimpleNamespace(software=software, surface_gravity=mission.gravity, lander=lander)
+    law = settings.build(known, software.control.response_time + lag)
     delay = 0.5 * turn_time(mission, law.max_tilt, mission.touchdown_mass) + lag
     available = delay_margin(law.frequency**2, 2.0 * law.damping * law.frequency)
     return one(delay, available, angle=np.rad2deg(law.max_tilt))
@@ -256,22 +245,15 @@ def _overshoot(mission: Mission) -> list[Found]:
     return one(2.0 * control.dead_band, max(w * period - w**2 / a, 0.5 * pulse * period))
 
 
-def _offsets(mission: Mission) -> list[tuple[float, float]]:
-    """Return mass (kg) and thrust (N) for which the engine's offset is examined."""
-    first_half = mission.path.thrust[: len(mission.path.thrust) // 2 + 1]
-    dry = mission.lander.dry_mass
-    return [(mission.start_mass, float(first_half.max())), (dry, mission.terminal_thrust)]
-
-
 def _offset_torque(mission: Mission) -> list[Found]:
-    """Return the engine's remaining torque with full or empty tanks, about the worse axis."""
-    lander = mission.lander
+    """Return the engine's offset torque with full or empty tanks, about the worse axis."""
+    lander, thrust = mission.lander, mission.path.thrust
     if not isinstance(lander, JetLander):
         return []
     able = allocation_of(lander.thrusters).authority[:2]
-    pairs = [
-        p for c in _offsets(mission) for p in zip(trim_and_rest(lander, *c)[1], able, strict=True)
-    ]
+    full = offset_torques(lander, mission.start_mass, float(thrust[: len(thrust) // 2 + 1].max()))
+    empty = offset_torques(lander, lander.dry_mass, mission.terminal_thrust)
+    pairs = zip((*full, *empty), (*able, *able), strict=True)
     return one(*max(pairs, key=lambda pair: pair[0] / pair[1]))
 
 
@@ -286,57 +268,34 @@ def _slosh(mission: Mission) -> list[Found]:
     return one(most, tilt_torque(lander))
 
 
-def _thruster_propellant(mission: Mission) -> list[Found]:
-    """Return the propellant of the thrusters for four rotations, and what the lander has.
-
-    A rotation needs the angular impulse ``H = 2 I w`` with its peak rate w. With the minimum total
-    thrust k per torque (1/m) of `ThrusterAllocation`, the propellant is ``k H / (Isp g0)``.
-    """
-    lander = mission.lander
-    if not isinstance(lander, JetLander):
-        return []
-    inertia = float(lander.inertia(mission.start_mass)[:2].max())
-    alpha = tilt_acceleration(mission, mission.start_mass)
-    peak = min(slew_limit(mission), float(np.sqrt(alpha * mission.largest_rotation)))
-    allocation = allocation_of(lander.thrusters)
-    per_torque = max(float(allocation.group_thrust(axis).sum()) for axis in np.eye(3)[:2])
-    exhaust = lander.thrusters.specific_impulse * STANDARD_GRAVITY
-    needed = per_torque * _ROTATIONS * 2.0 * inertia * peak / exhaust
-    return one(needed, lander.thrusters.propellant)
-
-
 ATTITUDE_CHECKS = (
-    Check("approach-rotation-time", "attitude", "time of a rotation on the approach ({angle:.0f} "
-        "deg)", "s", _approach_rotation, "the thrust lags behind guidance and the lander misses "
-        "the end of the approach: raise {torque}, or control.slew_limit_deg_s, or extend "
+    Check("approach-rotation-time", "attitude", "s", AT_LEAST, 0.0, _approach_rotation,
+        "time of a rotation on the approach ({angle:.0f} deg)",
+        "the lander misses the end of the approach: raise {torque}, control.slew_limit_deg_s or "
         "approach.time_to_go_s"),
-    Check("divert-rotation-time", "attitude", "time of the rotation by {angle:.0f} deg for a "
-        "divert of {distance:.0f} m at {altitude:.0f} m altitude", "s", _divert_rotation,
+    Check("divert-rotation-time", "attitude", "s", AT_LEAST, _EXTENSION - 1.0, _divert_rotation,
+        "time of the rotation by {angle:.0f} deg for a divert of {distance:.0f} m at "
+        "{altitude:.0f} m altitude",
         "guidance reacts to its own late rotations, and the tilt oscillates with growing "
-        "amplitude: raise {torque}, or control.slew_limit_deg_s, or decisions.last_altitude_m",
-        wanted_margin=_EXTENSION - 1.0),
-    Check("terminal-loop-delay", "attitude", "delay of a tilt by {angle:.0f} deg in the terminal "
-        "descent", "s", _terminal_loop, "the lander swings during the terminal descent and touches "
-        "down with horizontal speed: raise {torque}, or control.slew_limit_deg_s",
-        wanted_margin=0.25),
-    Check("control-braking", "attitude", "angular acceleration that the control needs for stopping",
-        "deg/s^2", _braking, "the torque saturates and rotations overshoot: lower "
-        "control.frequency_rad_s, slew_limit_deg_s or braking_rad_s2, or raise {torque}",
-        "at most"),
-    Check("control-period", "attitude", "overshoot in one control period against the dead band",
-        "deg", _overshoot, "each correction overshoots the opposite edge of the dead band and the "
-        "attitude oscillates: lower control.period_s or vehicle.thrusters.force_n, or raise "
-        "control.dead_band_deg", "at most"),
-    Check("offset-torque", "disturbance", "control torque against the engine's offset torque",
-        "N m", _offset_torque, "the engine rotates the lander faster than the thrusters can stop "
-        "it: move vehicle.com_full_m and vehicle.com_dry_m to the engine's axis, or raise "
-        "vehicle.engine.gimbal_limit_deg or vehicle.thrusters.force_n", wanted_margin=1.0),
-    Check("slosh-torque", "disturbance", "control torque against the torque of sloshing propellant",
-        "N m", _slosh, "slosh rotates the lander after each divert: add tanks or baffles "
-        "(vehicle.slosh.tanks_m, vehicle.slosh.damping), lower vehicle.slosh.radius_m, or raise "
-        "vehicle.thrusters.force_n", wanted_margin=1.0),
-    Check("propellant-thrusters", "propellant", "propellant of the thrusters for rotations and "
-        "trim", "kg", _thruster_propellant, "the lander loses attitude control before touchdown: "
-        "raise vehicle.thrusters.propellant_kg, or remove the engine's offset torque",
-        wanted_margin=1.0),
+        "amplitude: raise {torque}, control.slew_limit_deg_s or decisions.last_altitude_m"),
+    Check("terminal-loop-delay", "attitude", "s", AT_LEAST, 0.25, _terminal_loop,
+        "delay of a tilt by {angle:.0f} deg in the terminal descent",
+        "the lander swings and touches down with horizontal speed: raise {torque} or "
+        "control.slew_limit_deg_s"),
+    Check("control-braking", "attitude", "deg/s^2", AT_MOST, 0.0, _braking,
+        "angular acceleration that the control needs for stopping",
+        "the torque saturates and rotations overshoot: lower control.frequency_rad_s, "
+        "slew_limit_deg_s or braking_rad_s2, or raise {torque}"),
+    Check("control-period", "attitude", "deg", AT_MOST, 0.0, _overshoot,
+        "overshoot in one control period against the dead band",
+        "the attitude oscillates: lower control.period_s or vehicle.thrusters.force_n, or raise "
+        "control.dead_band_deg"),
+    Check("offset-torque", "disturbance", "N m", AT_LEAST, 1.0, _offset_torque,
+        "control torque against the engine's offset torque",
+        "the engine rotates the lander: move vehicle.com_full_m and com_dry_m to the engine's "
+        "axis, or raise vehicle.engine.gimbal_limit_deg or vehicle.thrusters.force_n"),
+    Check("slosh-torque", "disturbance", "N m", AT_LEAST, 1.0, _slosh,
+        "control torque against the torque of sloshing propellant",
+        "slosh rotates the lander after each divert: add tanks (vehicle.slosh.tanks_m), lower "
+        "vehicle.slosh.radius_m, or raise vehicle.thrusters.force_n"),
 )  # fmt: skip

@@ -6,7 +6,7 @@ import numpy as np
 
 from lunarsim.core.touchdown import tip_margin
 from lunarsim.evaluation.vehicle_check.mission import Mission
-from lunarsim.evaluation.vehicle_check.rows import Check, Found, one
+from lunarsim.evaluation.vehicle_check.rows import AT_LEAST, AT_MOST, Check, Found, one
 from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.control.phase_plane import PhasePlane
@@ -21,11 +21,6 @@ _DOWNWARD_RESERVE_M_S2 = 0.15
 _MAX_GAP_SHARE = 0.1
 # Relative excess at which the throttle leaves the lower range (`ThrottleRegions`).
 _GAP_HYSTERESIS = 0.05
-
-
-def _approach_path(mission: Mission) -> list[Found]:
-    """Return the number of paths within the limits of angles: the planned path, or none."""
-    return one(1.0, float(mission.path.is_within_limits))
 
 
 def _gap(mission: Mission) -> list[Found]:
@@ -49,7 +44,7 @@ def nominal_propellant(mission: Mission) -> float:
     counts.
     """
     end_mass = float(mission.path.mass[-1])
-    terminal = max(end_mass - mission.touchdown_mass, mission.software.approach.reserve)
+    terminal = max(end_mass - mission.touchdown_mass, float(mission.software.approach.reserve))
     return mission.braking_propellant + mission.start_mass - end_mass + terminal
 
 
@@ -60,7 +55,7 @@ def _divert_propellant(mission: Mission) -> list[Found]:
     """
     if mission.edge == 0.0:
         return []
-    first = [d for d in mission.diverts[:1] for d in d if np.isfinite(d.time_to_go)]
+    first = [d for d in mission.first_diverts if np.isfinite(d.time_to_go)]
     far = max((d.distance for d in first), default=0.0)
     extra = max((d.extra_propellant for d in first if d.distance > 0.99 * far), default=0.0)
     return one(nominal_propellant(mission) + extra, mission.lander.propellant_mass)
@@ -73,9 +68,9 @@ def _reach(mission: Mission) -> list[Found]:
     """
     if mission.edge == 0.0:
         return []
-    first = [d for ring in mission.diverts[:1] for d in ring]
-    nearest = min((d.distance for d in first if np.isnan(d.time_to_go)), default=np.inf)
-    reach = max((d.distance for d in first if d.distance < 0.99 * nearest), default=0.0)
+    diverts = mission.first_diverts
+    nearest = min((d.distance for d in diverts if np.isnan(d.time_to_go)), default=np.inf)
+    reach = max((d.distance for d in diverts if d.distance < 0.99 * nearest), default=0.0)
     return one(0.5 * mission.edge, reach)
 
 
@@ -109,7 +104,7 @@ def _touchdown_speed(mission: Mission) -> list[Found]:
     A thrust error F gives the vertical descent with gain k a speed error of ``F / (m k)``. The
     throttle leaves its dead band plus half a step.
     """
-    lander, law = mission.lander, _vertical_descent(mission)
+    lander, law = mission.lander, mission.vertical_descent
     error, gain = 0.0, law.speed_gain if law else VerticalDescent().speed_gain
     if isinstance(lander, JetLander):
         error = lander.engine.dead_band + 0.5 * lander.engine.throttle_step
@@ -123,7 +118,7 @@ def _touchdown_tilt(mission: Mission) -> list[Found]:
     The law reduces its maximum tilt linearly over the last metres. The attitude lags behind by the
     response time of the control; a phase-plane control leaves its dead band.
     """
-    law, control = _vertical_descent(mission), mission.software.control
+    law, control = mission.vertical_descent, mission.software.control
     if law is None:
         return []
     height = mission.software.approach.vertical_descent_speed * control.response_time
@@ -132,64 +127,65 @@ def _touchdown_tilt(mission: Mission) -> list[Found]:
     return one(mission.lander.tilt_limit, law.max_tilt_at_touchdown + error)
 
 
-def _vertical_descent(mission: Mission) -> VerticalDescent | None:
-    """Return the settings of the vertical descent; None for another law."""
-    settings = mission.software.terminal_descent or VerticalDescent()
-    return settings if isinstance(settings, VerticalDescent) else None
-
-
 DESCENT_CHECKS = (
-    Check("approach-path", "path", "number of planned paths within the limits of angles", "",
-        _approach_path, "no path leads from the start to the target, or the given time-to-go does "
-        "not suit it: raise approach.max_tilt_deg, lower approach.glideslope_deg, or change "
-        "start.position_m or approach.time_to_go_s"),
-    Check("approach-thrust-max", "throttle", "maximum thrust against the approach", "N",
-        lambda m: one(m.path.thrust.max(), m.lander.thrust_max), "the lander does not brake as "
-        "planned and falls short of the end of the approach: raise vehicle.thrust_max_n, or extend "
-        "approach.time_to_go_s", wanted_margin=0.05),
-    Check("approach-thrust-min", "throttle", "minimum thrust against the approach", "N",
-        lambda m: one(m.path.thrust.min(), m.lander.thrust_min), "the engine cannot throttle down "
-        "far enough and the lander flies above its path: lower vehicle.thrust_min_n, or change "
-        "start.velocity_m_s", "at most"),
-    Check("terminal-thrust-max", "throttle", "maximum thrust against the terminal descent", "N",
-        lambda m: one(m.terminal_thrust, m.lander.thrust_max), "the lander cannot hold its rate of "
-        "descent: raise vehicle.thrust_max_n, or lower approach.vertical_speed_m_s",
-        wanted_margin=0.1),
-    Check("terminal-thrust-min", "throttle", "minimum thrust against the weight at touchdown", "N",
+    Check("approach-path", "path", "", AT_LEAST, 0.0, lambda m: one(1, m.path.is_within_limits),
+        "number of planned paths within the limits of tilt and glideslope",
+        "the target is out of reach: change approach.max_tilt_deg, glideslope_deg, time_to_go_s or "
+        "start.position_m"),
+    Check("approach-thrust-max", "throttle", "N", AT_LEAST, 0.05,
+        lambda m: one(m.path.thrust.max(), m.lander.thrust_max),
+        "maximum thrust against the approach",
+        "the lander does not brake as planned: raise vehicle.thrust_max_n or "
+        "approach.time_to_go_s"),
+    Check("approach-thrust-min", "throttle", "N", AT_MOST, 0.0,
+        lambda m: one(m.path.thrust.min(), m.lander.thrust_min),
+        "minimum thrust against the approach",
+        "the lander flies above its path: lower vehicle.thrust_min_n, or change "
+        "start.velocity_m_s"),
+    Check("terminal-thrust-max", "throttle", "N", AT_LEAST, 0.1,
+        lambda m: one(m.terminal_thrust, m.lander.thrust_max),
+        "maximum thrust against the terminal descent",
+        "the lander cannot hold its rate of descent: raise vehicle.thrust_max_n"),
+    Check("terminal-thrust-min", "throttle", "N", AT_MOST, 0.05,
         lambda m: one(m.touchdown_mass * (m.gravity - _DOWNWARD_RESERVE_M_S2), m.lander.thrust_min),
-        "the lander does not descend and climbs as its mass decreases: lower vehicle.thrust_min_n, "
-        "or raise vehicle.dry_mass_kg", "at most", 0.05),
-    Check("engine-lag", "throttle", "duration of the terminal descent against the lag of the "
-        "engine", "s", lambda m: one(m.lander.thrust_lag, m.terminal_time), "the lander cannot "
-        "correct its speed before touchdown: lower vehicle.thrust_lag_s, or raise "
-        "approach.vertical_altitude_m", wanted_margin=1.0),
-    Check("throttle-gap", "throttle", "share of the descent with commands inside the throttle gap",
-        "", _gap, "the engine alternates between both ends of the gap and the lander leaves its "
-        "path: move vehicle.engine.gap_lower_n and gap_upper_n away from the weight at touchdown, "
-        "or change approach.time_to_go_s", "at most"),
-    Check("propellant-nominal", "propellant", "propellant for approach and reserve", "kg",
-        lambda m: one(nominal_propellant(m), m.lander.propellant_mass), "the tanks are empty "
-        "before touchdown: raise vehicle.propellant_mass_kg, lower approach.reserve_kg, or start "
-        "closer to the target", wanted_margin=0.05),
-    Check("propellant-divert", "propellant", "propellant for the same descent with a divert to the "
-        "edge of the map", "kg", _divert_propellant, "safe sites near the edge of the map are "
-        "refused for lack of propellant: raise vehicle.propellant_mass_kg, lower "
-        "approach.reserve_kg, or reduce size_m of the map", wanted_margin=0.05),
-    Check("divert-reach", "propellant", "radius in reach at the first decision against half the "
-        "radius of the map", "m", _reach, "most of the mapped sites are out of reach: raise "
-        "decisions.first_altitude_m, approach.max_tilt_deg or vehicle.thrust_max_n",
-        wanted_margin=0.99),
-    Check("tip-over-speed", "gear", "horizontal speed that tips the lander over on {slope:.3g} deg",
-        "m/s", _tip_over, "the lander tips over at a speed or on a slope that counts as safe: "
-        "lower vehicle.horizontal_speed_limit_m_s or com_height_m, or raise vehicle.leg_radius_m",
-        wanted_margin=0.25),
-    Check("touchdown-speed", "gear", "vertical speed at touchdown", "m/s", _touchdown_speed,
-        "landings violate the limit: lower approach.descent_speed_m_s, "
-        "vehicle.engine.dead_band_n or throttle_step_n", "at most", 0.1),
-    Check("touchdown-tilt", "gear", "tilt that guidance and attitude control allow at touchdown", "deg",
-        _touchdown_tilt, "corrections of the last seconds violate the limit, or the lander drifts: "
-        "lower control.dead_band_deg, or raise vehicle.tilt_limit_deg", "at most", 0.25),
-    Check("belly-clearance", "maps", "clearance under the body against the roughness limit", "m",
-        lambda m: one(m.lander.roughness_limit, m.lander.belly_clearance), "rocks that count as "
-        "safe touch the body: raise vehicle.belly_clearance_m, or lower vehicle.roughness_limit_m"),
+        "minimum thrust against the weight at touchdown",
+        "the lander climbs as its mass decreases: lower vehicle.thrust_min_n"),
+    Check("throttle-gap", "throttle", "", AT_MOST, 0.0, _gap,
+        "share of the descent with commands inside the throttle gap",
+        "the engine alternates between both ends of the gap: move vehicle.engine.gap_lower_n and "
+        "gap_upper_n away from the weight at touchdown, or change approach.time_to_go_s"),
+    Check("engine-lag", "throttle", "s", AT_LEAST, 1.0,
+        lambda m: one(m.lander.thrust_lag, m.terminal_time),
+        "duration of the terminal descent against the lag of the engine",
+        "the lander cannot correct its speed: lower vehicle.thrust_lag_s, or raise "
+        "approach.vertical_altitude_m"),
+    Check("propellant-nominal", "propellant", "kg", AT_LEAST, 0.05,
+        lambda m: one(nominal_propellant(m), m.lander.propellant_mass),
+        "propellant for approach and reserve",
+        "the tanks are empty before touchdown: raise vehicle.propellant_mass_kg, lower "
+        "approach.reserve_kg, or start closer to the target"),
+    Check("propellant-divert", "propellant", "kg", AT_LEAST, 0.05, _divert_propellant,
+        "propellant for the same descent with a divert to the edge of the map",
+        "safe sites near the edge of the map are refused for lack of propellant: raise "
+        "vehicle.propellant_mass_kg, or lower approach.reserve_kg or size_m of the map"),
+    Check("divert-reach", "propellant", "m", AT_LEAST, 0.99, _reach,
+        "radius in reach at the first decision against half the radius of the map",
+        "most of the mapped sites are out of reach: raise decisions.first_altitude_m, "
+        "approach.max_tilt_deg or vehicle.thrust_max_n"),
+    Check("tip-over-speed", "gear", "m/s", AT_LEAST, 0.25, _tip_over,
+        "horizontal speed that tips the lander over on {slope:.3g} deg",
+        "the lander tips over at a speed or on a slope that counts as safe: lower "
+        "vehicle.horizontal_speed_limit_m_s or com_height_m, or raise vehicle.leg_radius_m"),
+    Check("touchdown-speed", "gear", "m/s", AT_MOST, 0.1, _touchdown_speed,
+        "vertical speed at touchdown",
+        "landings violate the limit: lower approach.descent_speed_m_s, vehicle.engine.dead_band_n "
+        "or throttle_step_n"),
+    Check("touchdown-tilt", "gear", "deg", AT_MOST, 0.25, _touchdown_tilt,
+        "tilt that guidance and attitude control allow at touchdown",
+        "landings violate the limit, or the lander drifts: lower control.dead_band_deg, or raise "
+        "control.frequency_rad_s"),
+    Check("belly-clearance", "maps", "m", AT_LEAST, 0.0,
+        lambda m: one(m.lander.roughness_limit, m.lander.belly_clearance),
+        "clearance under the body against the roughness limit",
+        "rocks that count as safe touch the body: raise vehicle.belly_clearance_m"),
 )  # fmt: skip

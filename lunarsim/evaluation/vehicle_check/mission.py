@@ -21,6 +21,7 @@ from lunarsim.frames import angle_between
 from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.hazards.fusion import FusedMapperSettings
 from lunarsim.onboard.hazards.mapper import sensor_names
 from lunarsim.onboard.navigation.estimate import Estimate
@@ -152,6 +153,12 @@ class Mission:
         """Mass at the start of the approach, kg."""
         return float(self.path.mass[0])
 
+    @property
+    def vertical_descent(self) -> VerticalDescent | None:
+        """Settings of the vertical descent; None if another law flies the terminal descent."""
+        settings = self.software.terminal_descent or VerticalDescent()
+        return settings if isinstance(settings, VerticalDescent) else None
+
     # --- terminal descent: constant deceleration to the descent speed at the site ----------------
 
     @property
@@ -272,23 +279,31 @@ class Mission:
         return self.lander.leg_radius + 0.5 * self.lander.pad_diameter
 
     @cached_property
-    def diverts(self) -> tuple[tuple[Divert, ...], ...]:
-        """Diverts at the first decision, at the last, and at their geometric mean.
+    def first_diverts(self) -> list[Divert]:
+        """Diverts at the first decision, in eight directions, up to the edge of the map.
 
-        They go in eight directions, up to the edge of the map; the propellant does not limit them.
-        The first decision is due at `decisions.first_altitude_m`, at the earliest when a sensor of
-        the map has measured.
+        The propellant does not limit them. The first decision is due at
+        `decisions.first_altitude_m`, at the earliest when a sensor of the map has measured.
         """
-        decisions = self.software.decisions
-        first = min(decisions.first_altitude, self.first_map_altitude)
-        last = min(max(decisions.last_altitude, float(self.path.altitude[-1])), first)
-        indices = [self.path.index_at(h) for h in (first, np.sqrt(first * last), last)]
-        end = len(self.path.time) - 1
-        return tuple(self._diverts_at(i) for i in indices if self.edge > 0.0 and i < end)
+        first = min(self.software.decisions.first_altitude, self.first_map_altitude)
+        return self._diverts_at(first)
 
-    def _diverts_at(self, index: int) -> tuple[Divert, ...]:
-        """Return the diverts from a sample of the path, from the shortest to the longest."""
+    @cached_property
+    def reachable(self) -> list[Divert]:
+        """Diverts in reach: at the first and last decision, and at their geometric mean."""
+        if not self.first_diverts:
+            return []
+        first, last = self.first_diverts[0].altitude, self.software.decisions.last_altitude
+        last = min(max(last, float(self.path.altitude[-1])), first)
+        later = [d for h in (np.sqrt(first * last), last) for d in self._diverts_at(float(h))]
+        return [d for d in (*self.first_diverts, *later) if np.isfinite(d.time_to_go)]
+
+    def _diverts_at(self, altitude: float) -> list[Divert]:
+        """Return the diverts at an altitude (m), from the shortest to the longest."""
         approach, law, path = self.software.approach, self.software.guidance, self.path
+        index = path.index_at(altitude)
+        if self.edge == 0.0 or index == len(path.time) - 1:
+            return []
         here, angle = path.estimate(index), 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
         ring = np.column_stack((np.sin(angle), np.cos(angle), np.zeros(_DIRECTIONS)))
         sites = np.concatenate([np.zeros((1, 3)), *(self.edge * s * ring for s in _SCALES)])
@@ -306,14 +321,9 @@ class Mission:
                 planned = path_shape(law).path(here.position, here.velocity, end, float(time))
                 turn = angle_between(path.direction[index], planned.command + self.gravity * UP)
             away = float(np.hypot(*site[:2]))
-            altitude = float(path.altitude[index])
-            found.append(Divert(altitude, away, float(time), turn, float(propellant - base)))
-        return tuple(found[1:])
-
-    @property
-    def reachable(self) -> list[Divert]:
-        """Diverts of all examined decisions that are in reach."""
-        return [d for ring in self.diverts for d in ring if np.isfinite(d.time_to_go)]
+            height = float(path.altitude[index])
+            found.append(Divert(height, away, float(time), turn, float(propellant - base)))
+        return found[1:]
 
     @cached_property
     def largest_rotation(self) -> float:
@@ -327,19 +337,15 @@ class Mission:
     @property
     def notes(self) -> tuple[str, ...]:
         """Sentences about simplifications for this scenario."""
-        scenario, law, (name, parts) = self.scenario, self.software.guidance, self.decision_map
-        kind = scenario.guidance.kind
+        law, (name, parts) = self.software.guidance, self.decision_map
+        kind = self.scenario.guidance.kind
         is_open = kind in ("optimal", "neural-optimal", "information-seeking")
         cases = {
             f"guidance '{kind}': its paths have no closed form; an Apollo path with its "
             "time-to-go is checked.": is_open or not hasattr(law, "shape"),
             "braking: only its minimum propellant is checked.": self.software.braking is not None,
-            "moon: terrain is flat and gravity uniform in this check.": scenario.moon is not None,
             f"mappers.{name}: states no size_m; diverts are not checked.":
                 bool(name) and not any(hasattr(p, "size") for p in parts),
-            "truth.vehicle: these deviations are not checked.":
-                scenario.true_lander() != self.lander,
-            "faults: the lander is checked without faults.": scenario.faults is not None,
             "approach: no path keeps its limits of angles; only gear and maps are checked.":
                 not self.path.is_within_limits,
         }  # fmt: skip

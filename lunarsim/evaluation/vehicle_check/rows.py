@@ -9,6 +9,8 @@ from typing import Any, Literal, NamedTuple
 
 Status = Literal["ok", "marginal", "violated"]
 Sense = Literal["at least", "at most"]
+AT_LEAST: Sense = "at least"
+AT_MOST: Sense = "at most"
 
 FORMAT = "lunarsim vehicle check 2"
 # Factors from SI units to the units of rows.
@@ -46,8 +48,8 @@ class CheckRow:
     available: float
     unit: str
     advice: str
-    sense: Sense = "at least"
-    wanted_margin: float = 0.0
+    sense: Sense
+    wanted_margin: float
 
     @property
     def margin(self) -> float:
@@ -118,11 +120,6 @@ class VehicleCheck:
         """Return the rows with a status."""
         return tuple(row for row in self.rows if row.status == status)
 
-    @property
-    def is_violated(self) -> bool:
-        """Whether at least one check is violated."""
-        return bool(self.with_status("violated"))
-
     def as_dict(self) -> dict[str, Any]:
         """Return the result for a JSON file."""
         return {
@@ -153,8 +150,10 @@ class Check(NamedTuple):
 
     Attributes
     ----------
-    name, subject, quantity, unit, advice, sense, wanted_margin
-        Values of the rows, as in `CheckRow`. Angles of a check in "deg" are given in rad.
+    name, subject, unit, sense, wanted_margin, quantity
+        Values of the rows, as in `CheckRow`.
+    advice
+        What happens if the check is violated, and which keys to change.
     values
         Function of the `Mission` that returns the values of each row; none if the check does not
         apply.
@@ -162,12 +161,12 @@ class Check(NamedTuple):
 
     name: str
     subject: str
-    quantity: str
     unit: str
+    sense: Sense
+    wanted_margin: float
     values: Callable[[Any], Iterable[Found]]
+    quantity: str
     advice: str
-    sense: Sense = "at least"
-    wanted_margin: float = 0.0
 
     def rows(self, mission: Any) -> list[CheckRow]:
         """Return the rows of a mission."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lunarsim.evaluation.vehicle_check.mission import Mission, SiteView
-from lunarsim.evaluation.vehicle_check.rows import Check, Found, one
+from lunarsim.evaluation.vehicle_check.rows import AT_LEAST, AT_MOST, Check, Found, one
 from lunarsim.frames import attitude_from_thrust, quat_rotate
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.instruments import AltimeterInstrument, PointedInstrument
@@ -195,35 +195,35 @@ def _scan_domain(mission: Mission) -> Iterator[Found]:
 
 
 SENSOR_CHECKS = (
-    Check("first-map-altitude", "sensors", "altitude of the first measurement for map '{map}' "
-        "against the last decision", "m", _first_map, "the map comes too late for every divert: "
-        "measure higher, or lower decisions.last_altitude_m"),
-    Check("range-{sensor}", "sensors", "range of '{sensor}' at {altitude:.0f} m altitude", "m",
-        _range, "measurements, or navigation during them, have no returns: raise "
-        "sensors.{sensor}.max_range_m or photons, or lower the altitudes of the tasking",
-        wanted_margin=0.1),
-    Check("incidence-{sensor}", "sensors", "maximum incidence of '{sensor}' at {altitude:.0f} m "
-        "altitude", "deg", _incidence, "there are no returns: raise "
-        "sensors.{sensor}.max_incidence_deg, or lower approach.max_tilt_deg", wanted_margin=0.1),
-    Check("pointing-{sensor}", "sensors", "gimbal limit of '{sensor}' plus half its field of view "
-        "against the site's direction", "deg", _pointing, "the site is outside the image: raise "
-        "sensors.{sensor}.gimbal_limit_deg or its field of view, or change the altitudes of "
-        "tasking.{sensor}"),
-    Check("spacing-{sensor}", "sensors", "spacing of pixels of '{sensor}' at {altitude:.0f} m "
-        "altitude against half the smallest hazardous rock", "m", _camera_spacing,
-        "rocks lie between the pixels: give the camera more pixels or a narrower field of view, or "
-        "lower the altitudes of tasking.{sensor}", "at most", 0.1),
-    Check("footprint-map", "sensors", "half width of the observed area against the map '{map}'",
-        "m", _coverage, "most of the map stays unobserved and there are few sites to divert to: "
-        "widen the sensor's field of view, measure from higher altitudes, or reduce size_m of the "
-        "map", wanted_margin=1.0),
-    Check("{ratio}-domain-{map}", "sensors", "relative {ratio} of scans against the domain of map "
-        "'{map}'", "", _scan_domain, "p_safe of '{map}' is outside its calibrated domain: lower "
-        "the sensor's noise_ratio, give it more pixels, or measure lower", "at most"),
-    Check("slope-domain-{map}", "maps", "distance of the slope limit from the domain of map "
-        "'{map}' ({low:g} to {high:g} deg)", "deg", _slope_domain, "p_safe of '{map}' is outside "
-        "its calibrated domain: change vehicle.slope_limit_deg or run `lunarsim calibrate`",
-        "at most"),
-    Check("posting-{map}", "maps", "{object} against the posting of map '{map}'", "m", _posting,
+    Check("first-map-altitude", "sensors", "m", AT_LEAST, 0.0, _first_map,
+        "altitude of the first measurement for map '{map}' against the last decision",
+        "the map comes too late for diverts: measure higher, or lower decisions.last_altitude_m"),
+    Check("range-{sensor}", "sensors", "m", AT_LEAST, 0.1, _range,
+        "range of '{sensor}' at {altitude:.0f} m altitude",
+        "there are no returns: raise sensors.{sensor}.max_range_m or photons, or measure lower"),
+    Check("incidence-{sensor}", "sensors", "deg", AT_LEAST, 0.1, _incidence,
+        "maximum incidence of '{sensor}' at {altitude:.0f} m altitude",
+        "there are no returns: raise sensors.{sensor}.max_incidence_deg, or lower "
+        "approach.max_tilt_deg"),
+    Check("pointing-{sensor}", "sensors", "deg", AT_LEAST, 0.0, _pointing,
+        "gimbal limit of '{sensor}' plus half its field of view against the site's direction",
+        "the site is outside the image: raise sensors.{sensor}.gimbal_limit_deg"),
+    Check("spacing-{sensor}", "sensors", "m", AT_MOST, 0.1, _camera_spacing,
+        "spacing of pixels of '{sensor}' at {altitude:.0f} m altitude against half the smallest "
+        "hazardous rock",
+        "rocks lie between the pixels: give the camera more pixels, or measure lower"),
+    Check("footprint-map", "sensors", "m", AT_LEAST, 1.0, _coverage,
+        "half width of the observed area against the map '{map}'",
+        "most of the map stays unobserved: widen the sensor's field of view, measure higher, or "
+        "lower size_m of the map"),
+    Check("{ratio}-domain-{map}", "sensors", "", AT_MOST, 0.0, _scan_domain,
+        "relative {ratio} of scans against the domain of map '{map}'",
+        "p_safe of '{map}' is outside its calibrated domain: lower the sensor's noise_ratio, give "
+        "it more pixels, or measure lower"),
+    Check("slope-domain-{map}", "maps", "deg", AT_MOST, 0.0, _slope_domain,
+        "distance of the slope limit from the domain of map '{map}' ({low:g} to {high:g} deg)",
+        "p_safe of '{map}' is outside its calibrated domain: change vehicle.slope_limit_deg"),
+    Check("posting-{map}", "maps", "m", AT_LEAST, 0.0, _posting,
+        "{object} against the posting of map '{map}'",
         "the map cannot show it: lower mappers.{map}.posting_m, or raise vehicle.pad_diameter_m"),
 )  # fmt: skip
