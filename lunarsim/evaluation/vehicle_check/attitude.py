@@ -231,18 +231,16 @@ def _overshoot(mission: Mission) -> list[Found]:
 
     At the angle x outside the dead band, the law commands the rate ``min(w, sqrt(a x))`` with the
     slew limit w and the authority a, and keeps it for the period T. It passes the near edge of the
-    band by at most ``a T^2 / 4``, or ``w T - w^2 / a`` if w is less than ``a T / 2``. The shortest
-    pulse changes the rate by d and passes the edge by ``d T / 2``. A lander that passes both edges
-    within a period oscillates.
+    band by at most ``a T^2 / 4``, or ``w T - w^2 / a`` if w is less than ``a T / 2``. A lander that
+    passes both edges within a period oscillates.
     """
     lander, control = mission.lander, mission.software.control
     if not isinstance(lander, JetLander) or not isinstance(control, PhasePlane):
         return []
     inertia = lander.inertia(lander.dry_mass)[:2]
     a = float((allocation_of(lander.thrusters).authority[:2] / inertia).max())
-    pulse = float((allocation_of(lander.thrusters).min_impulse[:2] / inertia).max())
     w, period = min(control.slew_limit, 0.5 * a * control.period), control.period
-    return one(2.0 * control.dead_band, max(w * period - w**2 / a, 0.5 * pulse * period))
+    return one(2.0 * control.dead_band, w * period - w**2 / a)
 
 
 def _offset_torque(mission: Mission) -> list[Found]:

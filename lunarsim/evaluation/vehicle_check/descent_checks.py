@@ -36,6 +36,20 @@ def _gap(mission: Mission) -> list[Found]:
     return one(_MAX_GAP_SHARE, 1.0 if hovers else float(np.mean(inside)))
 
 
+def _terminal_tilt(mission: Mission) -> list[Found]:
+    """Return the tilt that removes the horizontal motion after the approach, and its maximum.
+
+    In the time t of the terminal descent, the offset r and the velocity v reach 0 with a linear
+    acceleration that begins with ``-6 r / t^2 - 4 v / t`` (E-guidance).
+    """
+    law, path, time = mission.vertical_descent, mission.path, mission.terminal_time
+    if law is None:
+        return []
+    start = 6.0 * path.position[-1, :2] / time**2 + 4.0 * path.velocity[-1, :2] / time
+    tilt = np.arctan(np.linalg.norm(start) / (mission.gravity + mission.terminal_deceleration))
+    return one(tilt, law.max_tilt)
+
+
 def nominal_propellant(mission: Mission) -> float:
     """Return the propellant of braking, approach and terminal descent, kg.
 
@@ -150,6 +164,10 @@ DESCENT_CHECKS = (
         lambda m: one(m.touchdown_mass * (m.gravity - _DOWNWARD_RESERVE_M_S2), m.lander.thrust_min),
         "minimum thrust against the weight at touchdown",
         "the lander climbs as its mass decreases: lower vehicle.thrust_min_n"),
+    Check("terminal-tilt", "throttle", "deg", AT_LEAST, 0.0, _terminal_tilt,
+        "maximum tilt of the terminal descent against the horizontal motion at its start",
+        "the lander misses the site or drifts: lower approach.takeover_altitude_m, "
+        "end_time_to_go_s or arrival_velocity_m_s"),
     Check("throttle-gap", "throttle", "", AT_MOST, 0.0, _gap,
         "share of the descent with commands inside the throttle gap",
         "the engine alternates between both ends of the gap: move vehicle.engine.gap_lower_n and "
