@@ -394,7 +394,7 @@ def test_command_prints_findings_and_writes_all_rows(tmp_path):
     assert done.exit_code == 1, done.output
     assert "violated: pad diameter against the posting of map 'dem' must be at least" in done.output
     rows = json.loads(file.read_text())
-    assert rows["format"] == "lunarsim vehicle check 2"
+    assert rows["format"] == "lunarsim vehicle check 1"
     assert rows["violated"] == ["posting-dem"]
     assert len(rows["rows"]) == len(checked("instruments").rows)
     assert [p.name for p in tmp_path.iterdir()] == ["rows.json"]

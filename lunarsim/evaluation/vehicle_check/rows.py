@@ -12,7 +12,7 @@ Sense = Literal["at least", "at most"]
 AT_LEAST: Sense = "at least"
 AT_MOST: Sense = "at most"
 
-FORMAT = "lunarsim vehicle check 2"
+FORMAT = "lunarsim vehicle check 1"
 # Factors from SI units to the units of rows.
 _PER_SI_UNIT = {unit: math.degrees(1.0) for unit in ("deg", "deg/s", "deg/s^2")}
 
