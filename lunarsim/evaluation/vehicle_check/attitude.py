@@ -96,12 +96,12 @@ def guidance_delay(mission: Mission, time_to_go: float) -> float:
 
 
 def slew_limit(mission: Mission) -> float:
-    """Return the maximum rate that the attitude control commands, rad/s; inf: no limit."""
+    """Return the maximum rate of the attitude control, rad/s; inf: no limit."""
     return float(getattr(mission.software.control, "slew_limit", np.inf))
 
 
 def tilt_acceleration(mission: Mission, mass: float) -> float:
-    """Return the angular acceleration with which the lander can tilt at a mass (kg), rad/s^2.
+    """Return the angular acceleration of a tilt at a mass (kg), rad/s^2.
 
     It is ``tilt_torque / I`` with the larger horizontal moment of inertia. A control that brakes
     with the share s of the acceleration a needs the time of a rotation with the harmonic mean ``2 a
@@ -115,7 +115,10 @@ def tilt_acceleration(mission: Mission, mass: float) -> float:
 
 
 def turn_time(mission: Mission, angle: float, mass: float | None = None) -> float:
-    """Return the time of a rotation by an angle (rad) at a mass (kg; None: at the start), s."""
+    """Return the time (s) of a rotation by an angle (rad).
+
+    `mass` is in kg; None: that at the start.
+    """
     acceleration = tilt_acceleration(mission, mission.start_mass if mass is None else mass)
     return rotation_time(angle, acceleration, slew_limit(mission))
 
@@ -158,7 +161,7 @@ def slosh_torque(
 
 
 def _approach_rotation(mission: Mission) -> list[Found]:
-    """Return the rotation between two samples of the path with the largest ratio of times.
+    """Return needed and allowed time of the worst rotation on the approach.
 
     A rest-to-rest rotation may end later than the path by twice the delay that guidance tolerates,
     because a rotation of duration t acts like a delay of t / 2.
@@ -174,7 +177,7 @@ def _approach_rotation(mission: Mission) -> list[Found]:
 
 
 def _divert_rotation(mission: Mission) -> list[Found]:
-    """Return the reachable divert whose rotation has the largest ratio of needed to allowed time.
+    """Return needed and allowed time of the worst rotation at a divert.
 
     Guidance tolerates a rotation of duration ``t <= 2 (m T + response time)`` (`guidance_delay`).
     If commands exceed the limits, the onboard computer extends the time-to-go; twice this time is
@@ -194,7 +197,7 @@ def _divert_rotation(mission: Mission) -> list[Found]:
 
 
 def _terminal_loop(mission: Mission) -> list[Found]:
-    """Return the delay in the position loop of the vertical descent, and its delay margin.
+    """Return delay and delay margin of the position loop of the vertical descent.
 
     The delay is half the time of a rotation by the maximum tilt of the law, plus the lag of the
     engine. The loop of the law is ``a = -f^2 x - 2 z f v``.
@@ -211,7 +214,7 @@ def _terminal_loop(mission: Mission) -> list[Found]:
 
 
 def _braking(mission: Mission) -> list[Found]:
-    """Return the angular acceleration of the lander, and the one the control needs for stopping.
+    """Return available and needed angular acceleration for stopping a rotation.
 
     The linear loop ``rate = f / (2 z) error`` commands the slew limit w down to the error ``2 z w /
     f`` and stops in this angle without overshoot with the acceleration ``f w / (4 z)``. Quaternion
@@ -227,7 +230,7 @@ def _braking(mission: Mission) -> list[Found]:
 
 
 def _overshoot(mission: Mission) -> list[Found]:
-    """Return how far a phase-plane law can overshoot in one control period, and two dead bands.
+    """Return two dead bands, and the overshoot of the law in one control period.
 
     At the angle x outside the dead band, the law commands the rate ``min(w, sqrt(a x))`` with the
     slew limit w and the authority a, and keeps it for the period T. It passes the near edge of the
@@ -244,7 +247,7 @@ def _overshoot(mission: Mission) -> list[Found]:
 
 
 def _offset_torque(mission: Mission) -> list[Found]:
-    """Return the engine's offset torque with full or empty tanks, about the worse axis."""
+    """Return the worst offset torque, with full or empty tanks, and its limit."""
     lander, thrust = mission.lander, mission.path.thrust
     if not isinstance(lander, JetLander):
         return []

@@ -37,7 +37,7 @@ def _gap(mission: Mission) -> list[Found]:
 
 
 def _terminal_tilt(mission: Mission) -> list[Found]:
-    """Return the tilt that removes the horizontal motion after the approach, and its maximum.
+    """Return needed and maximum tilt for the horizontal motion after the approach.
 
     In the time t of the terminal descent, the offset r and the velocity v reach 0 with a linear
     acceleration that begins with ``-6 r / t^2 - 4 v / t`` (E-guidance).
@@ -63,7 +63,7 @@ def nominal_propellant(mission: Mission) -> float:
 
 
 def _divert_propellant(mission: Mission) -> list[Found]:
-    """Return the propellant with the most expensive of the farthest diverts in reach.
+    """Return the propellant with the costliest of the farthest diverts in reach.
 
     They are those of the first decision; the edge of the map limits them.
     """
@@ -76,9 +76,9 @@ def _divert_propellant(mission: Mission) -> list[Found]:
 
 
 def _reach(mission: Mission) -> list[Found]:
-    """Return half the radius of the map, and the radius in reach at the first decision.
+    """Return half the radius of the map, and the radius in reach.
 
-    All sites within the radius are in reach.
+    All sites within the radius are in reach at the first decision.
     """
     if mission.edge == 0.0:
         return []
@@ -113,10 +113,10 @@ def _tip_over(mission: Mission) -> list[Found]:
 
 
 def _touchdown_speed(mission: Mission) -> list[Found]:
-    """Return the speed limit, and the descent speed plus the error that the throttle leaves.
+    """Return the limit of vertical speed, and the speed at touchdown.
 
     A thrust error F gives the vertical descent with gain k a speed error of ``F / (m k)``. The
-    throttle leaves its dead band plus half a step.
+    throttle leaves its dead band plus half a step; the speed is the nominal one plus this error.
     """
     lander, law = mission.lander, mission.vertical_descent
     error, gain = 0.0, law.speed_gain if law else VerticalDescent().speed_gain
@@ -127,7 +127,7 @@ def _touchdown_speed(mission: Mission) -> list[Found]:
 
 
 def _touchdown_tilt(mission: Mission) -> list[Found]:
-    """Return the tilt limit, and the tilt that law and attitude control allow at touchdown.
+    """Return the tilt limit, and the tilt that can remain at touchdown.
 
     The law reduces its maximum tilt linearly over the last metres. The attitude lags behind by the
     response time of the control; a phase-plane control leaves its dead band.
@@ -166,7 +166,7 @@ DESCENT_CHECKS = (
         "the lander climbs as its mass decreases: lower vehicle.thrust_min_n"),
     Check("terminal-tilt", "throttle", "deg", AT_LEAST, 0.0, _terminal_tilt,
         "maximum tilt of the terminal descent against the horizontal motion at its start",
-        "the lander misses the site or drifts: lower approach.takeover_altitude_m, "
+        "the lander misses the site: lower approach.takeover_altitude_m, "
         "end_time_to_go_s or arrival_velocity_m_s"),
     Check("throttle-gap", "throttle", "", AT_MOST, 0.0, _gap,
         "share of the descent with commands inside the throttle gap",

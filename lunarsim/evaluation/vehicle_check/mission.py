@@ -155,7 +155,7 @@ class Mission:
 
     @property
     def vertical_descent(self) -> VerticalDescent | None:
-        """Settings of the vertical descent; None if another law flies the terminal descent."""
+        """Settings of the vertical descent; None if another law replaces it."""
         settings = self.software.terminal_descent or VerticalDescent()
         return settings if isinstance(settings, VerticalDescent) else None
 

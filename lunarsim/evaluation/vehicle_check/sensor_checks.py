@@ -36,7 +36,7 @@ def _instruments(mission: Mission) -> list[tuple[str, Any, Any]]:
 
 
 def _tasked(mission: Mission) -> Iterator[tuple[str, Any, Any, list[SiteView]]]:
-    """Yield name, sensor, calibration and views of each LiDAR and camera that measures."""
+    """Yield name, sensor, calibration and views of each LiDAR and camera."""
     for name, sensor, instrument in _instruments(mission):
         views = mission.views(name)
         if views and isinstance(instrument, PointedInstrument):
@@ -53,11 +53,12 @@ def sample_spacing(view: SiteView, pixel: float) -> float:
 
 
 def _sights(mission: Mission) -> Iterator[tuple[str, Any, float, float, float]]:
-    """Yield name, sensor, altitude (m), range (m) and incidence (rad) of ranging sensors.
+    """Yield the lines of sight of ranging sensors.
 
-    Those of a LiDAR are of its first measurement. Altimeter and velocimeter must measure from the
-    first hazard measurement or decision on. The range of a beam is the altitude over the cosine of
-    its angle from the vertical; of a velocimeter, the third best beam counts.
+    They are name, sensor, altitude (m), range (m) and incidence (rad). Those of a LiDAR are of its
+    first measurement. Altimeter and velocimeter must measure from the first hazard measurement or
+    decision on. The range of a beam is the altitude over the cosine of its angle from the vertical;
+    of a velocimeter, the third best beam counts.
     """
     first = [mission.software.decisions.first_altitude]
     for name, sensor, _, views in _tasked(mission):
@@ -100,14 +101,14 @@ def _incidence(mission: Mission) -> Iterator[Found]:
 
 
 def _pointing(mission: Mission) -> Iterator[Found]:
-    """Yield the largest angle of the site from body -z, and the angle that each sensor covers."""
+    """Yield the largest angle of the site from body -z, and the covered angle."""
     for name, _, instrument, views in _tasked(mission):
         covered = instrument.gimbal_limit + float(np.arctan(instrument.tan_half_fov))
         yield from one(max(v.pointing for v in views), covered, sensor=name)
 
 
 def _camera_spacing(mission: Mission) -> Iterator[Found]:
-    """Yield half the smallest rock and the spacing of pixels at each camera's last image."""
+    """Yield half the smallest rock, and the spacing of pixels at the last image."""
     parts = [p for p in mission.software.mappers.values() if hasattr(p, "min_hazard_diameter")]
     for name, _, instrument, views in _tasked(mission):
         rocks = [float(p.min_hazard_diameter) for p in parts if name in sensor_names(p)]
@@ -118,7 +119,7 @@ def _camera_spacing(mission: Mission) -> Iterator[Found]:
 
 
 def _first_map(mission: Mission) -> list[Found]:
-    """Return the altitudes of the last decision and of the first measurement for its map."""
+    """Return the altitudes of the last decision and of the first measurement."""
     if mission.edge == 0.0 or np.isinf(mission.first_map_altitude):
         return []
     last = mission.software.decisions.last_altitude
@@ -145,7 +146,7 @@ def _coverage(mission: Mission) -> list[Found]:
 
 
 def _posting(mission: Mission) -> Iterator[Found]:
-    """Yield the posting of each map and what it must resolve: the smallest rock, or a pad."""
+    """Yield the posting of each map, and the smallest rock or pad to resolve."""
     for name, mapper in mission.software.mappers.items():
         rock = getattr(mapper, "min_hazard_diameter", None)
         if hasattr(mapper, "posting") and (rock or issubclass(mapper.accepts, LidarScan)):
@@ -162,7 +163,7 @@ def _calibrated(mission: Mission) -> Iterator[tuple[str, Any]]:
 
 
 def _slope_domain(mission: Mission) -> Iterator[Found]:
-    """Yield 0 and the distance of the slope limit from the calibrated domain of each map."""
+    """Yield 0, and the distance of the slope limit from the calibrated domain."""
     low, high = SLOPE_LIMIT_RANGE_RAD
     outside = abs(mission.lander.slope_limit - np.clip(mission.lander.slope_limit, low, high))
     for name, _ in _calibrated(mission):
