@@ -103,6 +103,11 @@ def normalised(v: ArrayLike) -> Array:
     return np.asarray(v / length)
 
 
+def angle_between(a: Array, b: Array) -> float:
+    """Return the angle between two vectors (3,), rad; also exact for small angles."""
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
+
+
 def is_rotation(q: ArrayLike) -> bool:
     """Return whether `q` is a quaternion (4,) with a norm of 1, to within 0.001.
 

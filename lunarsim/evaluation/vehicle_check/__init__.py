@@ -2,30 +2,18 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from lunarsim.evaluation.vehicle_check.attitude import attitude_rows
-from lunarsim.evaluation.vehicle_check.disturbance import disturbance_rows
-from lunarsim.evaluation.vehicle_check.gear import gear_rows
-from lunarsim.evaluation.vehicle_check.mapping import mapping_rows
-from lunarsim.evaluation.vehicle_check.mission import Mission, plan_mission
-from lunarsim.evaluation.vehicle_check.propellant import propellant_rows
+from lunarsim.evaluation.vehicle_check.attitude import ATTITUDE_CHECKS
+from lunarsim.evaluation.vehicle_check.descent_checks import DESCENT_CHECKS
+from lunarsim.evaluation.vehicle_check.mission import Mission
 from lunarsim.evaluation.vehicle_check.rows import CheckRow, VehicleCheck
-from lunarsim.evaluation.vehicle_check.sensing import sensor_rows
-from lunarsim.evaluation.vehicle_check.throttle import throttle_rows
+from lunarsim.evaluation.vehicle_check.sensor_checks import SENSOR_CHECKS
 from lunarsim.scenario import Scenario
 
 __all__ = ["CheckRow", "VehicleCheck", "check_vehicle"]
 
-_SUBJECTS = (
-    attitude_rows,
-    disturbance_rows,
-    throttle_rows,
-    propellant_rows,
-    sensor_rows,
-    mapping_rows,
-    gear_rows,
-)
+_CHECKS = (*DESCENT_CHECKS, *ATTITUDE_CHECKS, *SENSOR_CHECKS)
+# Subjects whose rows are valid although no path keeps the limits of angles.
+_WITHOUT_PATH = ("path", "gear", "maps")
 
 
 def check_vehicle(scenario: Scenario) -> VehicleCheck:
@@ -56,26 +44,9 @@ def check_vehicle(scenario: Scenario) -> VehicleCheck:
     >>> found.named("propellant-nominal").status
     'ok'
     """
-    mission = plan_mission(scenario)
-    rows = [*_path_rows(mission), *(row for one in _SUBJECTS for row in one(mission))]
-    return VehicleCheck(scenario.name, tuple(rows), mission.notes)
-
-
-def _path_rows(mission: Mission) -> list[CheckRow]:
-    """Return the row of the planned path, if no path keeps the limits of angles.
-
-    Limits of propellant and thrust have separate rows.
-    """
-    angles = mission.software.approach.limits
-    missing = {"tilt and glideslope", "time"} & set(mission.approach.exceeds)
-    if not missing:
-        return []
-    tilt = np.arccos(np.clip(mission.approach.path.direction[:, 2], -1.0, 1.0)).max()
-    return [
-        CheckRow(
-            "approach-path", "attitude", "maximum tilt against the path from the start",
-            float(np.rad2deg(tilt)), float(np.rad2deg(angles.max_tilt)), "deg",
-            "Otherwise no path leads from the start to the target: raise approach.max_tilt_deg, "
-            "lower approach.glideslope_deg, or change start.position_m.",
-        )
+    mission = Mission(scenario)
+    suitable = [
+        c for c in _CHECKS if mission.path.is_within_limits or c.subject in _WITHOUT_PATH
     ]  # fmt: skip
+    rows = [row for check in suitable for row in check.rows(mission)]
+    return VehicleCheck(scenario.name, tuple(rows), mission.notes)

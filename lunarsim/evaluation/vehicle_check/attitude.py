@@ -1,23 +1,23 @@
-"""Attitude authority: commanded rotations against torque and slew limit."""
+"""Attitude authority: rotations, disturbance torques and the control's parameters."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from functools import lru_cache
+from itertools import combinations
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from lunarsim.evaluation.vehicle_check.descent import path_shape
-from lunarsim.evaluation.vehicle_check.mission import Divert, Mission, angle_between
-from lunarsim.evaluation.vehicle_check.rows import CheckRow
+from lunarsim.evaluation.vehicle_check.mission import Divert, Mission
+from lunarsim.evaluation.vehicle_check.rows import AT_LEAST, AT_MOST, Check, Found, one
+from lunarsim.frames import angle_between
 from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.lander import Lander
+from lunarsim.models.thrusters import Thrusters
 from lunarsim.onboard.control.allocation import ThrusterAllocation
 from lunarsim.onboard.control.phase_plane import PhasePlane
-from lunarsim.onboard.control.quaternion_feedback import QuaternionFeedback
-from lunarsim.onboard.guidance.paths import PathShape
-from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.typing import Array
 
 # The phase-plane law brakes rotations with half of the authority (`PhasePlane.rate_change`).
@@ -28,20 +28,17 @@ _PHASE_PLANE_SHARE = 0.5
 # attitude oscillates after diverts. A ratio near 1 is therefore no proof in either direction:
 # the lunar module with decisions down to 50 m has 1.1 and lands if it needs no late divert.
 _EXTENSION = 2.0
-# Rotations may take at most this multiple of the time at the control's slew limit.
-_MAX_SLEW_TIME_RATIO = 2.0
-_JET_KEYS = "vehicle.thrusters.force_n or vehicle.thrusters.cluster_radius_m"
+# Fill fractions at which slosh is examined.
+_FILLS = (1.0, 0.75, 0.5, 0.25, 0.1)
 
 
-def control_torque(lander: Lander) -> Array:
-    """Return the maximum torque about each single body axis (3,), N m.
+# --- formulas ------------------------------------------------------------------------------------
 
-    For thrusters it is the sustained torque of `ThrusterAllocation`; the gimbal of the engine only
-    trims steady torques and does not rotate the lander.
-    """
-    if isinstance(lander, JetLander):
-        return np.asarray(ThrusterAllocation(lander.thrusters).authority)
-    return np.asarray(lander.torque_max, dtype=np.float64)
+
+@lru_cache(maxsize=16)
+def allocation_of(thrusters: Thrusters) -> ThrusterAllocation:
+    """Return the allocation of torques to thrusters, cached."""
+    return ThrusterAllocation(thrusters)
 
 
 def tilt_torque(lander: Lander) -> float:
@@ -53,16 +50,11 @@ def tilt_torque(lander: Lander) -> float:
     """
     if not isinstance(lander, JetLander):
         return float(min(lander.torque_max[:2]))
-    allocation, angles = ThrusterAllocation(lander.thrusters), np.linspace(0.0, 2.0 * np.pi, 17)
+    allocation, angles = allocation_of(lander.thrusters), np.linspace(0.0, 2.0 * np.pi, 17)
     # A torque beyond the authority is scaled down along its direction.
     much = 1e3 * float(np.abs(lander.thrusters.torques).sum())
     axes = np.column_stack((np.cos(angles), np.sin(angles), np.zeros(17)))
     return min(float(allocation.impulse(allocation.on_times(much * a, 1.0)) @ a) for a in axes)
-
-
-def torque_keys(lander: Lander) -> str:
-    """Return the scenario keys that determine the control torque, for advice."""
-    return _JET_KEYS if isinstance(lander, JetLander) else "vehicle.torque_max_n_m"
 
 
 def rotation_time(angle: float, acceleration: float, max_rate: float) -> float:
@@ -79,237 +71,232 @@ def rotation_time(angle: float, acceleration: float, max_rate: float) -> float:
     return float(angle / max_rate + max_rate / acceleration)
 
 
-def guidance_delay_margin(shape: PathShape) -> float:
-    """Return the delay over the time-to-go at which guidance becomes unstable.
+def delay_margin(k_r: float, k_v: float) -> float:
+    """Return the delay (s) at which the loop ``a = -k_r x - k_v v`` is unstable.
 
-    A law with the powers p and q of time-to-go T feeds back ``a = -k_r x / T^2 - k_v v / T`` with
-    ``k_r = (p + 2) (q + 2)`` and ``k_v = p + q + 3`` (Lu 2020). At constant T the loop gain is 1 at
-    the frequency w / T with ``w^4 = k_r^2 + k_v^2 w^2``; the phase margin there is
-    ``atan(k_v w / k_r)``, and the delay margin is phase over frequency. It is 0.20 for the Apollo
-    law and 0.29 for E-guidance.
+    `k_r` is in 1/s^2 and `k_v` in 1/s. The loop gain is 1 at the frequency w with ``w^4 = k_r^2 +
+    k_v^2 w^2``; the phase margin there is ``atan(k_v w / k_r)``, and the delay margin is phase over
+    frequency.
     """
-    k_r, k_v = (shape.low + 2.0) * (shape.high + 2.0), shape.low + shape.high + 3.0
     w = np.sqrt(0.5 * (k_v**2 + np.sqrt(k_v**4 + 4.0 * k_r**2)))
     return float(np.arctan2(k_v * w, k_r) / w)
 
 
-def position_loop_delay_margin(frequency: float, damping: float) -> float:
-    """Return the delay (s) at which the terminal descent's position loop is unstable.
+def guidance_delay(mission: Mission, time_to_go: float) -> float:
+    """Return the delay (s) of attitude that guidance tolerates at a time-to-go T (s).
 
-    The loop ``a = -f^2 x - 2 z f v`` has the delay margin of `guidance_delay_margin` with ``k_r =
-    1``, ``k_v = 2 z`` and T = 1 / f. `frequency` f is in rad/s, and `damping` z the damping ratio.
+    A law with the powers p and q of T feeds back ``a = -k_r x / T^2 - k_v v / T`` with ``k_r = (p +
+    2) (q + 2)`` and ``k_v = p + q + 3`` (Lu 2020). At constant T, its delay margin is 0.20 T for
+    the Apollo law and 0.29 T for E-guidance. Guidance also compensates the response time of the
+    control.
     """
-    k_v = 2.0 * damping
-    w = np.sqrt(0.5 * (k_v**2 + np.sqrt(k_v**4 + 4.0)))
-    return float(np.arctan(k_v * w) / w / frequency)
+    p, q = path_shape(mission.software.guidance).powers
+    margin = delay_margin((p + 2.0) * (q + 2.0), p + q + 3.0)
+    return margin * time_to_go + float(mission.software.control.response_time)
 
 
-@dataclass(frozen=True)
-class Agility:
-    """Ability of a lander and its attitude control to tilt.
+def slew_limit(mission: Mission) -> float:
+    """Return the maximum rate of the attitude control, rad/s; inf: no limit."""
+    return float(getattr(mission.software.control, "slew_limit", np.inf))
 
-    Attributes
-    ----------
-    start, touchdown
-        Angular acceleration about the weakest horizontal axis at the start and at
-        touchdown, rad/s^2.
-    slew_limit
-        Maximum rate of the control, rad/s; inf if it has none.
+
+def tilt_acceleration(mission: Mission, mass: float) -> float:
+    """Return the angular acceleration of a tilt at a mass (kg), rad/s^2.
+
+    It is ``tilt_torque / I`` with the larger horizontal moment of inertia. A control that brakes
+    with the share s of the acceleration a needs the time of a rotation with the harmonic mean ``2 a
+    s / (1 + s)``. Control that commands no torques has no limit.
+    """
+    if not getattr(mission.software.control, "torques", True):
+        return np.inf
+    share = _PHASE_PLANE_SHARE if isinstance(mission.software.control, PhasePlane) else 1.0
+    inertia = float(mission.lander.inertia(mass)[:2].max())
+    return tilt_torque(mission.lander) / inertia * 2.0 * share / (1.0 + share)
+
+
+def turn_time(mission: Mission, angle: float, mass: float | None = None) -> float:
+    """Return the time (s) of a rotation by an angle (rad).
+
+    `mass` is in kg; None: that at the start.
+    """
+    acceleration = tilt_acceleration(mission, mission.start_mass if mass is None else mass)
+    return rotation_time(angle, acceleration, slew_limit(mission))
+
+
+def offset_torques(lander: JetLander, mass: float, thrust: float) -> Array:
+    """Return the engine's torque about body x and y that the gimbal leaves (2,), N m.
+
+    With the offset c of the centre of mass from the engine's axis, the arm a from the gimbal's
+    pivot to the centre of mass and the gimbal angle d, the torque is ``F (c cos d - a sin d)``. The
+    gimbal removes it at ``tan d = c / a``; beyond its limit the rest remains. `mass` is in kg,
+    `thrust` F in N.
+    """
+    com = lander.com(mass)
+    arm, offset = max(lander.engine.pivot_depth + float(com[2]), 0.0), np.abs(com[[1, 0]])
+    d = np.minimum(np.arctan2(offset, arm), lander.engine.gimbal_limit)
+    return np.asarray(thrust * (offset * np.cos(d) - arm * np.sin(d)))
+
+
+def slosh_torque(
+    lander: JetLander, fill: float, acceleration: float, angle: float, turn: float
+) -> float:
+    """Return the torque of sloshing propellant after a rotation of the lander, N m.
+
+    A pendulum of mass m hangs under the thrust acceleration a at the height z of its hinge above
+    the centre of mass. At the swing angle s it pulls with ``m a sin s`` across the body, and the
+    torque is ``m a |z| sin s``. A rotation by an angle in the time t leaves at most the swing
+    ``angle min(1, T / (pi t))``, with the pendulum's period ``T = 2 pi sqrt(L / a)`` (response of
+    an undamped oscillator to a ramp). `fill` is the remaining fraction of the propellant,
+    `acceleration` in m/s^2, `angle` in rad and `turn`, the duration of the rotation, in s.
+    """
+    masses, lengths, bobs = lander.slosh.pendulums(fill, lander.propellant_mass)
+    com = lander.com(lander.dry_mass + fill * lander.propellant_mass)
+    period = 2.0 * np.pi * np.sqrt(lengths / acceleration)
+    swing = angle * np.minimum(1.0, period / (np.pi * max(turn, 1e-6)))
+    side = masses * acceleration * np.sin(np.minimum(swing, 0.5 * np.pi))
+    return float((side * np.abs(bobs[:, 2] + lengths - com[2])).sum())
+
+
+# --- values of the checks ------------------------------------------------------------------------
+
+
+def _approach_rotation(mission: Mission) -> list[Found]:
+    """Return needed and allowed time of the worst rotation on the approach.
+
+    A rest-to-rest rotation may end later than the path by twice the delay that guidance tolerates,
+    because a rotation of duration t acts like a delay of t / 2.
+    """
+    path = mission.path
+    u, time, worst = path.direction[::10], path.time[::10], (-1.0, 0.0, 0.0, 0.0)
+    for i, j in combinations(range(len(time)), 2):
+        angle = angle_between(u[i], u[j])
+        delay = guidance_delay(mission, path.time_to_go - float(time[i]))
+        allowed, needed = float(time[j] - time[i]) + 2.0 * delay, turn_time(mission, angle)
+        worst = max(worst, (needed / allowed, needed, allowed, np.rad2deg(angle)))
+    return one(worst[1], worst[2], angle=worst[3])
+
+
+def _divert_rotation(mission: Mission) -> list[Found]:
+    """Return needed and allowed time of the worst rotation at a divert.
+
+    Guidance tolerates a rotation of duration ``t <= 2 (m T + response time)`` (`guidance_delay`).
+    If commands exceed the limits, the onboard computer extends the time-to-go; twice this time is
+    therefore the requirement, and this time gives a sufficient margin.
     """
 
-    start: float
-    touchdown: float
-    slew_limit: float
+    def times(d: Divert) -> tuple[float, float]:
+        allowed = _EXTENSION * 2.0 * guidance_delay(mission, d.time_to_go)
+        return turn_time(mission, d.rotation), allowed
 
-    def time(self, angle: float) -> float:
-        """Return the time of a rotation by an angle (rad) at the start mass, s."""
-        return rotation_time(angle, self.start, self.slew_limit)
-
-
-def agility(mission: Mission) -> Agility:
-    """Return the ability of the lander to tilt.
-
-    The angular acceleration is ``tilt_torque / I`` with the larger horizontal moment of inertia. A
-    control that brakes with the share s of the acceleration a needs the time of a rotation with
-    the harmonic mean ``2 a s / (1 + s)``.
-    """
-    lander, control = mission.lander, mission.software.control
-    share = _PHASE_PLANE_SHARE if isinstance(control, PhasePlane) else 1.0
-    usable = tilt_torque(lander) * 2.0 * share / (1.0 + share)
-    start, end = (
-        usable / float(lander.inertia(m)[:2].max())
-        for m in (mission.start_mass, mission.touchdown_mass)
-    )
-    return Agility(start, end, float(getattr(control, "slew_limit", np.inf)))
-
-
-def attitude_rows(mission: Mission) -> Iterator[CheckRow]:
-    """Yield the checks of attitude authority."""
-    control = mission.software.control
-    if not getattr(control, "torques", True):
-        able = Agility(np.inf, np.inf, float(getattr(control, "slew_limit", np.inf)))
-    else:
-        able = agility(mission)
-    yield from _path_rows(mission, able)
-    yield from _divert_rows(mission, able)
-    if np.isfinite(able.start):
-        yield from _terminal_loop_rows(mission, able)
-        yield from _control_rows(mission, able)
-
-
-def _turn_keys(mission: Mission) -> str:
-    return f"{torque_keys(mission.lander)}, or control.slew_limit_deg_s"
-
-
-def _path_rows(mission: Mission, able: Agility) -> Iterator[CheckRow]:
-    """Yield the rows of the rotations along the nominal path.
-
-    The rotation of the approach is the largest angle between two thrust directions of the path,
-    and its time the time between them. The pitch-over is the angle between the last thrust
-    direction and the vertical; it must be over before touchdown.
-    """
-    path = mission.approach.path
-    u, t = path.direction[::10], path.time[::10]
-    angles = np.arccos(np.clip(u @ u.T, -1.0, 1.0))
-    i, j = np.unravel_index(int(np.argmax(angles)), angles.shape)
-    angle, left = float(angles[i, j]), abs(float(t[j] - t[i]))
-    yield CheckRow(
-        "approach-rotation-time", "attitude",
-        f"time of the largest rotation on the approach ({np.rad2deg(angle):.0f} deg)",
-        able.time(angle), left, "s",
-        "Otherwise the thrust lags behind guidance and the lander misses the end of the approach: "
-        f"raise {_turn_keys(mission)}, or extend approach.time_to_go_s.", wanted_margin=1.0,
+    if not mission.reachable:
+        return []
+    d = max(mission.reachable, key=lambda d: times(d)[0] / times(d)[1])
+    return one(
+        *times(d), angle=np.rad2deg(d.rotation), distance=d.distance, altitude=d.altitude
     )  # fmt: skip
-    over = angle_between(path.direction[-1], np.array([0.0, 0.0, 1.0]))
-    yield CheckRow(
-        "pitch-over-time", "attitude",
-        f"time of the pitch-over at the end of the approach ({np.rad2deg(over):.0f} deg)",
-        rotation_time(over, able.touchdown, able.slew_limit), mission.terminal.duration, "s",
-        "Otherwise the lander is still tilted at touchdown: raise "
-        f"{_turn_keys(mission)}, or approach.vertical_altitude_m.", wanted_margin=1.0,
-    )  # fmt: skip
-    if np.isfinite(able.slew_limit):
-        yield CheckRow(
-            "path-rotation-rate", "attitude", "slew limit against the rotation rate of the path",
-            float(np.rad2deg(_path_rate(mission))), float(np.rad2deg(able.slew_limit)), "deg/s",
-            "Otherwise the attitude cannot follow the planned path: raise "
-            "control.slew_limit_deg_s, or extend approach.time_to_go_s.",
-        )  # fmt: skip
 
 
-def _path_rate(mission: Mission) -> float:
-    """Return the maximum rotation rate of the thrust direction on the approach, rad/s.
-
-    The rate is a mean over the delay that guidance tolerates: its delay margin times the
-    time-to-go, at least the response time of the control. Shorter peaks only delay the rotation.
-    """
-    path, control = mission.approach.path, mission.software.control
-    margin = guidance_delay_margin(path_shape(mission.law))
-    u, most = path.direction, 0.0
-    for i in range(0, len(path.time) - 1, 4):
-        delay = max(margin * (mission.approach.time_to_go - path.time[i]), control.response_time)
-        j = min(int(np.searchsorted(path.time, path.time[i] + delay)), len(path.time) - 1)
-        if path.time[j] - path.time[i] >= 0.9 * delay > 0.0:
-            most = max(most, angle_between(u[i], u[j]) / float(path.time[j] - path.time[i]))
-    return most
-
-
-def _divert_rows(mission: Mission, able: Agility) -> Iterator[CheckRow]:
-    """Yield the row of the rotation at a divert.
-
-    A rest-to-rest rotation of duration t acts like a delay of t / 2. Guidance compensates the
-    response time of the control and tolerates a further delay of `guidance_delay_margin` times the
-    time-to-go T: ``t <= 2 (m T + response time)``. If commands exceed the limits, the onboard
-    computer extends the time-to-go; twice this time is therefore the requirement, and this time
-    gives a sufficient margin. The row shows the reachable divert with the largest ratio.
-    """
-    margin = guidance_delay_margin(path_shape(mission.law))
-    response = float(mission.software.control.response_time)
-
-    def allowed(d: Divert) -> float:
-        return _EXTENSION * 2.0 * (margin * d.time_to_go + response)
-
-    if not mission.diverts:
-        return
-    worst = max(mission.diverts, key=lambda d: able.time(d.rotation) / allowed(d))
-    yield CheckRow(
-        "divert-rotation-time",
-        "attitude",
-        f"time of the rotation by {np.rad2deg(worst.rotation):.0f} deg for a divert of "
-        f"{worst.distance:.0f} m at {worst.altitude:.0f} m altitude",
-        able.time(worst.rotation),
-        allowed(worst),
-        "s",
-        "Otherwise guidance reacts to its own late rotations, and the tilt oscillates with growing "
-        f"amplitude: raise {_turn_keys(mission)}, or decisions.last_altitude_m.",
-        wanted_margin=_EXTENSION - 1.0,
-    )
-
-
-def _terminal_loop_rows(mission: Mission, able: Agility) -> Iterator[CheckRow]:
-    """Yield the row of the delay in the horizontal loop of the terminal descent.
+def _terminal_loop(mission: Mission) -> list[Found]:
+    """Return delay and delay margin of the position loop of the vertical descent.
 
     The delay is half the time of a rotation by the maximum tilt of the law, plus the lag of the
-    engine.
+    engine. The loop of the law is ``a = -f^2 x - 2 z f v``.
     """
-    law = mission.terminal_law
-    law = getattr(law, "last", law)
-    if not isinstance(law, VerticalDescent):
-        return
-    turn = rotation_time(law.max_tilt, able.touchdown, able.slew_limit)
-    yield CheckRow(
-        "terminal-loop-delay", "attitude",
-        f"delay of a tilt by {np.rad2deg(law.max_tilt):.0f} deg in the terminal descent",
-        0.5 * turn + mission.lander.thrust_lag,
-        position_loop_delay_margin(law.frequency, law.damping), "s",
-        "Otherwise the lander swings during the terminal descent and touches down with horizontal "
-        f"speed: raise {_turn_keys(mission)}.", wanted_margin=0.25,
-    )  # fmt: skip
+    settings = mission.vertical_descent
+    if settings is None:
+        return []
+    lander, software, lag = mission.lander, mission.software, mission.lander.thrust_lag
+    known: Any = SimpleNamespace(software=software, surface_gravity=mission.gravity, lander=lander)
+    law = settings.build(known, software.control.response_time + lag)
+    delay = 0.5 * turn_time(mission, law.max_tilt, mission.touchdown_mass) + lag
+    available = delay_margin(law.frequency**2, 2.0 * law.damping * law.frequency)
+    return one(delay, available, angle=np.rad2deg(law.max_tilt))
 
 
-def _control_rows(mission: Mission, able: Agility) -> Iterator[CheckRow]:
-    """Yield the checks of the control's parameters against the torque."""
-    control, keys = mission.software.control, torque_keys(mission.lander)
-    largest = max([d.rotation for d in mission.diverts], default=0.0)
-    u = mission.approach.path.direction
-    largest = max(largest, float(np.arccos(np.clip(u @ u[0], -1.0, 1.0)).max()))
-    if np.isfinite(able.slew_limit) and largest > 0.0:
-        planned = able.time(largest)
-        yield CheckRow(
-            "slew-limit-authority", "attitude",
-            f"time of the largest rotation ({np.rad2deg(largest):.0f} deg) against "
-            f"{_MAX_SLEW_TIME_RATIO:g} times its time at the slew limit",
-            planned, _MAX_SLEW_TIME_RATIO * largest / able.slew_limit, "s",
-            "Otherwise the torque, not the slew limit, sets the time of rotations, and guidance "
-            f"underestimates it: raise {keys}, or lower control.slew_limit_deg_s.",
-        )  # fmt: skip
-    if isinstance(control, QuaternionFeedback):
-        yield CheckRow(
-            "control-braking", "attitude",
-            "angular acceleration that the control assumes for stopping",
-            float(np.rad2deg(able.start)), float(np.rad2deg(control.braking)), "deg/s^2",
-            "Otherwise rotations overshoot: lower control.braking_rad_s2, or raise "
-            f"{keys}.", "at most",
-        )  # fmt: skip
-    yield from _bandwidth_rows(able, control, keys)
+def _braking(mission: Mission) -> list[Found]:
+    """Return available and needed angular acceleration for stopping a rotation.
 
-
-def _bandwidth_rows(able: Agility, control: Any, keys: str) -> Iterator[CheckRow]:
-    """Yield the checks of the bandwidth of a linear attitude loop.
-
-    The loop ``rate = f / (2 z) error`` commands the slew limit w down to the error ``2 z w / f``.
-    The lander can stop in this angle without overshoot if ``w^2 / (2 alpha)`` is less, so that
-    ``f <= 4 z alpha / w`` with the angular acceleration alpha. The loader of scenarios checks the
-    frequency against the period of thruster commands.
+    The linear loop ``rate = f / (2 z) error`` commands the slew limit w down to the error ``2 z w /
+    f`` and stops in this angle without overshoot with the acceleration ``f w / (4 z)``. Quaternion
+    feedback states the acceleration.
     """
-    frequency, damping = getattr(control, "frequency", None), getattr(control, "damping", None)
-    if not (isinstance(frequency, float) and isinstance(damping, float)):
-        return
-    if not isinstance(control, QuaternionFeedback) and np.isfinite(able.slew_limit):
-        yield CheckRow(
-            "control-bandwidth", "attitude", "natural frequency of the attitude loop",
-            4.0 * damping * able.start / able.slew_limit, frequency, "rad/s",
-            "Otherwise the torque saturates and every rotation overshoots: lower "
-            f"control.frequency_rad_s or control.slew_limit_deg_s, or raise {keys}.", "at most",
-            wanted_margin=0.1,
-        )  # fmt: skip
+    control: Any = mission.software.control
+    needed = getattr(control, "braking", None)
+    if needed is None and hasattr(control, "frequency") and hasattr(control, "damping"):
+        needed = control.frequency * slew_limit(mission) / (4.0 * control.damping)
+    if needed is None or np.isinf(needed):
+        return []
+    return one(tilt_acceleration(mission, mission.start_mass), needed)
+
+
+def _overshoot(mission: Mission) -> list[Found]:
+    """Return two dead bands, and the overshoot of the law in one control period.
+
+    At the angle x outside the dead band, the law commands the rate ``min(w, sqrt(a x))`` with the
+    slew limit w and the authority a, and keeps it for the period T. It passes the near edge of the
+    band by at most ``a T^2 / 4``, or ``w T - w^2 / a`` if w is less than ``a T / 2``. A lander that
+    passes both edges within a period oscillates.
+    """
+    lander, control = mission.lander, mission.software.control
+    if not isinstance(lander, JetLander) or not isinstance(control, PhasePlane):
+        return []
+    inertia = lander.inertia(lander.dry_mass)[:2]
+    a = float((allocation_of(lander.thrusters).authority[:2] / inertia).max())
+    w, period = min(control.slew_limit, 0.5 * a * control.period), control.period
+    return one(2.0 * control.dead_band, w * period - w**2 / a)
+
+
+def _offset_torque(mission: Mission) -> list[Found]:
+    """Return the worst offset torque, with full or empty tanks, and its limit."""
+    lander, thrust = mission.lander, mission.path.thrust
+    if not isinstance(lander, JetLander):
+        return []
+    able = allocation_of(lander.thrusters).authority[:2]
+    full = offset_torques(lander, mission.start_mass, float(thrust[: len(thrust) // 2 + 1].max()))
+    empty = offset_torques(lander, lander.dry_mass, mission.terminal_thrust)
+    pairs = zip((*full, *empty), (*able, *able), strict=True)
+    return one(*max(pairs, key=lambda pair: pair[0] / pair[1]))
+
+
+def _slosh(mission: Mission) -> list[Found]:
+    """Return the maximum slosh torque after the largest rotation, over fill fractions."""
+    lander, angle = mission.lander, mission.largest_rotation
+    if not isinstance(lander, JetLander) or not lander.slosh.tanks:
+        return []
+    acceleration = float(np.linalg.norm(mission.path.acceleration, axis=1).max())
+    turn = turn_time(mission, angle)
+    most = max(slosh_torque(lander, fill, acceleration, angle, turn) for fill in _FILLS)
+    return one(most, tilt_torque(lander))
+
+
+ATTITUDE_CHECKS = (
+    Check("approach-rotation-time", "attitude", "s", AT_LEAST, 0.0, _approach_rotation,
+        "time of a rotation on the approach ({angle:.0f} deg)",
+        "the lander misses the end of the approach: raise {torque}, control.slew_limit_deg_s or "
+        "approach.time_to_go_s"),
+    Check("divert-rotation-time", "attitude", "s", AT_LEAST, _EXTENSION - 1.0, _divert_rotation,
+        "time of the rotation by {angle:.0f} deg for a divert of {distance:.0f} m at "
+        "{altitude:.0f} m altitude",
+        "guidance reacts to its own late rotations, and the tilt oscillates with growing "
+        "amplitude: raise {torque}, control.slew_limit_deg_s or decisions.last_altitude_m"),
+    Check("terminal-loop-delay", "attitude", "s", AT_LEAST, 0.25, _terminal_loop,
+        "delay of a tilt by {angle:.0f} deg in the terminal descent",
+        "the lander swings and touches down with horizontal speed: raise {torque} or "
+        "control.slew_limit_deg_s"),
+    Check("control-braking", "attitude", "deg/s^2", AT_MOST, 0.0, _braking,
+        "angular acceleration that the control needs for stopping",
+        "the torque saturates and rotations overshoot: lower control.frequency_rad_s, "
+        "slew_limit_deg_s or braking_rad_s2, or raise {torque}"),
+    Check("control-period", "attitude", "deg", AT_MOST, 0.0, _overshoot,
+        "overshoot in one control period against the dead band",
+        "the attitude oscillates: lower control.period_s or vehicle.thrusters.force_n, or raise "
+        "control.dead_band_deg"),
+    Check("offset-torque", "disturbance", "N m", AT_LEAST, 1.0, _offset_torque,
+        "control torque against the engine's offset torque",
+        "the engine rotates the lander: move vehicle.com_full_m and com_dry_m to the engine's "
+        "axis, or raise vehicle.engine.gimbal_limit_deg or vehicle.thrusters.force_n"),
+    Check("slosh-torque", "disturbance", "N m", AT_LEAST, 1.0, _slosh,
+        "control torque against the torque of sloshing propellant",
+        "slosh rotates the lander after each divert: add tanks (vehicle.slosh.tanks_m), lower "
+        "vehicle.slosh.radius_m, or raise vehicle.thrusters.force_n"),
+)  # fmt: skip

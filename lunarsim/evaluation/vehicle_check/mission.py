@@ -1,36 +1,35 @@
-"""Mission of a scenario for the design check: descent, diverts, decision map."""
+"""Mission of a scenario for the design check: descent, measurements and diverts."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from lunarsim.errors import InputError
 from lunarsim.evaluation.vehicle_check.descent import (
-    DescentPath,
-    PlannedApproach,
+    UP,
+    ApproachPath,
     as_estimate,
     path_shape,
     plan_approach,
-    terminal_descent,
     unlimited_lander,
 )
-from lunarsim.messages.briefing import Briefing, FlightSoftware, InitialStateEstimate
-from lunarsim.models.gravity import UniformGravity
+from lunarsim.frames import angle_between
+from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.vertical import descent_law
+from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.hazards.fusion import FusedMapperSettings
 from lunarsim.onboard.hazards.mapper import sensor_names
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.tasking.schedules import AtAltitudes
 from lunarsim.scenario import Scenario
-from lunarsim.typing import Array
 
 # Directions of the diverts that are examined, and fractions of the distance to the map's edge.
-_DIRECTIONS = 8
-_SCALES = (0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1.0)
+_DIRECTIONS, _SCALES = 8, np.arange(1, 9) / 8
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ class Divert:
     distance
         Distance of the new site from the target, m.
     time_to_go
-        Time-to-go of the cheapest path to the new site, s.
+        Time-to-go of the cheapest path to the new site, s; NaN: out of reach.
     rotation
         Angle between the thrust directions before and after the decision, rad.
     extra_propellant
@@ -59,323 +58,295 @@ class Divert:
 
 
 @dataclass(frozen=True)
-class Mission:
-    """Scenario, its parts, and its nominal descent.
+class SiteView:
+    """Geometry of a measurement of the site on the nominal approach.
 
     Attributes
     ----------
-    scenario, lander, software, sensors
-        Scenario, and its lander, onboard software and sensors by name.
-    gravity
-        Downward acceleration at the site, m/s^2.
-    approach
-        Planned approach.
-    terminal, lands
-        Nominal terminal descent, and whether it reaches the site.
-    terminal_law
-        Guidance law of the terminal descent.
-    braking_propellant
-        Minimum propellant of the braking phase before the approach, kg.
-    diverts
-        Reachable diverts at the examined decisions, to several distances.
-    reach
-        Distance of the farthest sites that can be reached in all directions at the first decision,
-        m.
-    edge
-        Distance from the target to the outermost site of the decision map, m; 0: no diverts.
-    edge_propellant
-        Extra propellant of a divert to `edge` at the first decision, kg; to `reach` if the edge is
-        out of reach.
-    notes
-        Sentences about simplifications and about what cannot be checked.
+    altitude
+        Altitude of the footpads above the site, m.
+    range
+        Distance along the boresight to flat terrain at the height of the site, m.
+    incidence, pointing
+        Angle of the boresight from the vertical and from body -z, rad.
     """
 
-    scenario: Scenario
-    lander: Lander
-    software: FlightSoftware
-    sensors: Mapping[str, Any]
-    gravity: float
-    approach: PlannedApproach
-    terminal: DescentPath
-    lands: bool
-    terminal_law: Any
-    braking_propellant: float
-    diverts: tuple[Divert, ...]
-    reach: float
-    edge: float
-    edge_propellant: float
-    notes: tuple[str, ...]
-
-    @property
-    def touchdown_mass(self) -> float:
-        """Mass at touchdown of the nominal descent, kg; at least the dry mass."""
-        return max(float(self.terminal.mass[-1]), self.lander.dry_mass)
-
-    @property
-    def start_mass(self) -> float:
-        """Mass at the start of the approach, kg."""
-        return float(self.approach.path.mass[0])
-
-    @property
-    def law(self) -> Any:
-        """Settings of the guidance law of the approach."""
-        return self.software.guidance
-
-    @property
-    def allows_diverts(self) -> bool:
-        """Whether the policy may choose another site."""
-        return self.edge > 0.0
-
-    def measurement_altitudes(self, sensor: str) -> tuple[float, ...]:
-        """Return the altitudes (m) at which a sensor measures on the nominal approach.
-
-        For repeated measurements these are the first and the last altitude before the last
-        decision. The result is empty if the schedule does not state its altitudes.
-        """
-        part = self.software.tasking.get(sensor)
-        altitudes = getattr(part, "measurement_altitudes", None)
-        if altitudes is None:
-            return ()
-        path, last = self.approach.path, self.software.decisions.last_altitude
-        top, end = float(path.altitude[0]), float(path.altitude[-1])
-        if altitudes.at:
-            # A measurement that is due above the start is made at the start.
-            return tuple(sorted({min(h, top) for h in altitudes.at if h >= end}, reverse=True))
-        highest = min(top, float(altitudes.highest))
-        lowest = max(end, float(altitudes.lowest), min(last, highest))
-        return (highest, lowest) if highest >= lowest else ()
+    altitude: float
+    range: float
+    incidence: float
+    pointing: float
 
 
-def plan_mission(scenario: Scenario) -> Mission:
-    """Plan the nominal mission of a scenario for the design check.
+class Mission:
+    """Nominal mission of a scenario, planned over flat terrain and not flown.
+
+    Parameters
+    ----------
+    scenario
+        A valid scenario.
+
+    Attributes
+    ----------
+    lander, software, sensors
+        Lander, onboard software and sensors by name.
+    gravity
+        Downward acceleration at the site, m/s^2.
+    path
+        Planned approach.
+    braking_propellant
+        Minimum propellant of the braking phase before the approach, kg.
 
     Raises
     ------
     InputError
         If the vehicle is not a `Lander`, or the start is below the end of the approach.
     """
-    lander = scenario.vehicle.make()
-    if not isinstance(lander, Lander):
-        raise InputError(
-            "vehicle.kind", scenario.vehicle.kind, "must be a lander of lunarsim or a subclass",
-            "Custom vehicles of another class cannot be checked.",
-        )  # fmt: skip
-    software = scenario.software()
-    sensors = {name: part.make() for name, part in scenario.sensors.items()}
-    gravity, notes = scenario.gravity_m_s2, list(_notes(scenario, software))
-    start, braking = _approach_start(scenario, software, lander)
-    end_height = software.approach.vertical_altitude + lander.com_height
-    if start.position[2] <= end_height:
-        raise InputError(
-            "start.position_m[2]", float(start.position[2]),
-            f"must be above {end_height:g} m, the height at the end of the approach",
-        )  # fmt: skip
-    planned = plan_approach(software.guidance, software.approach, start, lander, gravity)
-    briefing = _briefing(scenario, software, lander, sensors, planned.time_to_go)
-    law = descent_law(
-        software.terminal_descent, briefing, software.control.response_time + lander.thrust_lag
-    )
-    terminal, lands = terminal_descent(
-        law, software.approach, planned.path.estimate(-1), lander,
-        scenario.simulation.make().cycle, gravity,
-    )  # fmt: skip
-    edge, first = _edge_of_map(scenario, software, lander, sensors)
-    diverts, reach, cost = _examine_diverts(software, lander, gravity, planned.path, edge, first)
-    return Mission(
-        scenario, lander, software, sensors, gravity, planned, terminal, lands, law, braking,
-        diverts, reach, edge, cost, tuple(notes),
-    )  # fmt: skip
 
-
-def _notes(scenario: Scenario, software: FlightSoftware) -> tuple[str, ...]:
-    """Return sentences about simplifications for a scenario."""
-    notes = []
-    kind = scenario.guidance.kind
-    if kind in ("optimal", "neural-optimal", "information-seeking") or not hasattr(
-        software.guidance, "shape"
-    ):
-        notes.append(
-            f"guidance '{kind}': its paths have no closed form; an Apollo path with its "
-            "time-to-go is checked."
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario, self.software = scenario, scenario.software()
+        self.lander: Lander = scenario.vehicle.make()
+        if not isinstance(self.lander, Lander):
+            raise InputError(
+                "vehicle.kind", scenario.vehicle.kind, "must be a lander of lunarsim or a subclass",
+                "Custom vehicles of another class cannot be checked.",
+            )  # fmt: skip
+        self.sensors: dict[str, Any] = {n: part.make() for n, part in scenario.sensors.items()}
+        self.gravity, approach = scenario.gravity_m_s2, self.software.approach
+        start = self._approach_start()
+        self.braking_propellant = self.lander.wet_mass - start.mass
+        end = max(approach.vertical_altitude, approach.takeover_altitude) + self.lander.com_height
+        if start.position[2] <= end:
+            raise InputError(
+                "start.position_m[2]", float(start.position[2]),
+                f"must be above {end:g} m, the height at the end of the approach",
+            )  # fmt: skip
+        self.path: ApproachPath = plan_approach(
+            self.software.guidance, approach, start, self.lander, self.gravity
         )
-    if software.braking is not None:
-        notes.append(
-            "braking: only its minimum propellant is included; thrust and rotations of the "
-            "braking phase are not checked."
-        )
-    if scenario.moon is not None:
-        notes.append("moon: the approach is checked over flat terrain in uniform gravity.")
-    name = decision_mapper(software)
-    if name is not None and not _map_sizes(software, name):
-        notes.append(f"mappers.{name}: states no size_m; diverts are not checked.")
-    if scenario.faults is not None:
-        notes.append("faults: the lander is checked without faults.")
-    return tuple(notes)
 
+    def _approach_start(self) -> Estimate:
+        """Return the start of the approach.
 
-def _approach_start(
-    scenario: Scenario, software: FlightSoftware, lander: Lander
-) -> tuple[Any, float]:
-    """Return the start state of the approach, and the propellant used before, kg.
+        With a braking phase, the approach starts `end_time_to_go` before the aim point of braking,
+        and braking uses at least the propellant of an impulse that changes the velocity: ``m0 (1 -
+        exp(-|v_1 - v_0| / v_e))``.
+        """
+        plan, braking, lander = self.scenario.start.make(), self.software.braking, self.lander
+        position, velocity = np.array(plan.position), np.array(plan.velocity)
+        if braking is None:
+            return as_estimate(position, velocity, lander.wet_mass)
+        end, left = braking.end(np.zeros(3)), braking.end_time_to_go
+        at = end.position - left * end.velocity + 0.5 * left**2 * end.acceleration
+        now = end.velocity - left * end.acceleration
+        change = float(np.linalg.norm(now - velocity))
+        mass = lander.wet_mass * float(np.exp(-change / lander.exhaust_velocity))
+        return as_estimate(at, now, mass)
 
-    With a braking phase, the approach starts `end_time_to_go` before the aim point of braking, and
-    braking uses at least the propellant of an impulse that changes the velocity:
-    ``m0 (1 - exp(-|v_1 - v_0| / v_e))``.
-    """
-    plan = scenario.start.make()
-    position, velocity = np.array(plan.position), np.array(plan.velocity)
-    if software.braking is None:
-        return as_estimate(position, velocity, lander.wet_mass), 0.0
-    end, left = software.braking.end(np.zeros(3)), software.braking.end_time_to_go
-    at = end.position - left * end.velocity + 0.5 * left**2 * end.acceleration
-    now = end.velocity - left * end.acceleration
-    change = float(np.linalg.norm(now - velocity))
-    mass = lander.wet_mass * float(np.exp(-change / lander.exhaust_velocity))
-    return as_estimate(at, now, mass), lander.wet_mass - mass
+    @property
+    def torque_keys(self) -> str:
+        """Scenario keys that determine the control torque, for texts."""
+        jets = "vehicle.thrusters.force_n or cluster_radius_m"
+        return jets if isinstance(self.lander, JetLander) else "vehicle.torque_max_n_m"
 
+    @property
+    def start_mass(self) -> float:
+        """Mass at the start of the approach, kg."""
+        return float(self.path.mass[0])
 
-def _briefing(
-    scenario: Scenario, software: FlightSoftware, lander: Lander, sensors: Mapping[str, Any],
-    time_to_go: float,
-) -> Briefing:  # fmt: skip
-    """Return the data with which the law of the terminal descent is built.
+    @property
+    def vertical_descent(self) -> VerticalDescent | None:
+        """Settings of the vertical descent; None if another law replaces it."""
+        settings = self.software.terminal_descent or VerticalDescent()
+        return settings if isinstance(settings, VerticalDescent) else None
 
-    It has the planned start without errors, uniform gravity and no prior map.
-    """
-    start, clock = scenario.start.make(), scenario.simulation.make()
-    known = InitialStateEstimate(
-        np.array(start.position), np.array(start.velocity), np.array([0.0, 0.0, 0.0, 1.0]),
-        0.0, 0.0, 0.0,
-    )  # fmt: skip
-    return Briefing(
-        software=software, lander=lander,
-        instruments={name: sensor.calibration() for name, sensor in sensors.items()},
-        gravity=UniformGravity(scenario.gravity_m_s2), target=np.zeros(3), heading=start.heading,
-        start=known, time_to_go=time_to_go, sun=scenario.sun.make().direction,
-        rocks=scenario.expected_rocks.make(), prior_map=None, step=clock.step, cycle=clock.cycle,
-    )  # fmt: skip
+    # --- terminal descent: constant deceleration to the descent speed at the site ----------------
 
+    @property
+    def _terminal_speeds(self) -> tuple[float, float]:
+        """Downward speed at the end of the approach and at the site, m/s."""
+        site = self.software.approach.vertical_descent_speed
+        return max(-float(self.path.velocity[-1, 2]), site), site
 
-def decision_mapper(software: FlightSoftware) -> str | None:
-    """Return the name of the mapper whose map is used for decisions, or None."""
-    mappers = software.mappers
-    if software.decisions.map:
-        return str(software.decisions.map)
-    fused = [name for name, part in mappers.items() if isinstance(part, FusedMapperSettings)]
-    names = fused or list(mappers)
-    return names[0] if names else None
+    @property
+    def terminal_deceleration(self) -> float:
+        """Vertical deceleration that the terminal descent needs, m/s^2.
 
+        It is ``(v_0^2 - v_1^2) / (2 h)`` from the speed at the end of the approach, at the height
+        h, to the speed at the site.
+        """
+        first, last = self._terminal_speeds
+        return (first**2 - last**2) / (2.0 * float(self.path.altitude[-1]))
 
-def source_mappers(software: FlightSoftware, name: str) -> tuple[str, ...]:
-    """Return the mappers that measure for a mapper: itself, or the inputs of a fusion."""
-    part = software.mappers[name]
-    if not isinstance(part, FusedMapperSettings):
-        return (name,)
-    others = [n for n, p in software.mappers.items() if not isinstance(p, FusedMapperSettings)]
-    return tuple(part.inputs) or tuple(others)
+    @property
+    def terminal_time(self) -> float:
+        """Duration of the terminal descent, s."""
+        return 2.0 * float(self.path.altitude[-1]) / sum(self._terminal_speeds)
 
+    @property
+    def terminal_thrust(self) -> float:
+        """Thrust of the terminal descent at its start, N."""
+        return float(self.path.mass[-1]) * (self.gravity + self.terminal_deceleration)
 
-def _map_sizes(software: FlightSoftware, name: str) -> list[float]:
-    """Return the sides (m) of the maps behind a mapper, if their settings state them."""
-    sources = [software.mappers[n] for n in source_mappers(software, name)]
-    return [float(s.size) for s in sources if isinstance(getattr(s, "size", None), float | int)]
+    @property
+    def touchdown_mass(self) -> float:
+        """Mass at touchdown of the nominal descent, kg, by the rocket equation."""
+        dv = (self.gravity + self.terminal_deceleration) * self.terminal_time
+        return float(self.path.mass[-1] * np.exp(-dv / self.lander.exhaust_velocity))
 
+    # --- measurements ----------------------------------------------------------------------------
 
-def _edge_of_map(
-    scenario: Scenario, software: FlightSoftware, lander: Lander, sensors: Mapping[str, Any]
-) -> tuple[float, float]:
-    """Return distance to the outermost site, and altitude of the first decision, m.
+    @cached_property
+    def decision_map(self) -> tuple[str, list[Any]]:
+        """Name of the decision map, and the settings of the mappers that measure for it.
 
-    The outermost site has its complete footprint on the map: half the side of the map minus leg
-    radius and half a pad. The first decision is due at `decisions.first_altitude_m`, at the
-    earliest when a sensor of the map has measured. The distance is 0 without diverts.
-    """
-    name = decision_mapper(software)
-    if name is None or scenario.policy.kind == "no-divert":
-        return 0.0, 0.0
-    sources = [software.mappers[n] for n in source_mappers(software, name)]
-    sizes = _map_sizes(software, name)
-    if not sizes:
-        return 0.0, 0.0
-    highest = [_highest(software.tasking.get(n)) for s in sources for n in sensor_names(s)]
-    first = min(software.decisions.first_altitude, max(highest, default=np.inf))
-    footprint = lander.leg_radius + 0.5 * lander.pad_diameter
-    return max(0.5 * min(sizes) - footprint, 0.0), float(first)
+        The name is that of `SiteEvaluator.decision_map_name`; empty without a mapper.
+        """
+        mappers = self.software.mappers
+        fused = [name for name, part in mappers.items() if isinstance(part, FusedMapperSettings)]
+        name = str(self.software.decisions.map) or next(iter([*fused, *mappers]), "")
+        part = mappers.get(name)
+        names = [name] if name else []
+        if isinstance(part, FusedMapperSettings):
+            names = list(part.inputs) or [n for n in mappers if n not in fused]
+        return name, [mappers[n] for n in names]
 
+    @property
+    def map_sensors(self) -> list[str]:
+        """Names of the sensors that measure for the decision map."""
+        return list(dict.fromkeys(n for part in self.decision_map[1] for n in sensor_names(part)))
 
-def _highest(tasking: Any) -> float:
-    """Return the highest altitude of a schedule's measurements, m; inf: no limit."""
-    altitudes = getattr(tasking, "measurement_altitudes", None)
-    if altitudes is None:
-        return float("inf")
-    return max(altitudes.at) if altitudes.at else float(altitudes.highest)
+    def altitudes(self, sensor: str) -> tuple[float, ...] | None:
+        """Return the altitudes (m) at which a sensor measures on the nominal approach.
 
+        For repeated measurements these are the first and the last altitude before the last
+        decision. None: the schedule does not state its altitudes.
+        """
+        due = getattr(self.software.tasking.get(sensor), "measurement_altitudes", None)
+        if due is None:
+            return None
+        top, end = float(self.path.altitude[0]), float(self.path.altitude[-1])
+        if due.at:
+            # A measurement that is due above the start is made at the start.
+            return tuple(sorted({min(h, top) for h in due.at if h >= end}, reverse=True))
+        highest = min(top, float(due.highest))
+        lowest = max(end, float(due.lowest), min(self.software.decisions.last_altitude, highest))
+        return (highest, lowest) if highest >= lowest else ()
 
-def _examine_diverts(
-    software: FlightSoftware, lander: Lander, gravity: float, path: DescentPath, edge: float,
-    first: float,
-) -> tuple[tuple[Divert, ...], float, float]:  # fmt: skip
-    """Return the reachable diverts, the reach (m) and the cost of the edge (kg).
+    def views(self, sensor: str) -> list[SiteView]:
+        """Return the geometry of a sensor's measurements, from the highest to the lowest.
 
-    They are examined at the first decision, the last, and their geometric mean, in eight
-    directions, up to the map's edge. Propellant does not limit them here.
-    """
-    if edge <= 0.0:
-        return (), 0.0, 0.0
-    last = software.decisions.last_altitude
-    last = min(max(last, float(path.altitude[-1])), first)
-    found, reach, cost = [], 0.0, 0.0
-    for k, altitude in enumerate((first, float(np.sqrt(first * last)), last)):
+        The sensor points to the site, or straight down if its schedule requires it.
+        """
+        part, found = self.software.tasking.get(sensor), []
+        for altitude in self.altitudes(sensor) or ():
+            k = self.path.index_at(altitude)
+            ray = -self.path.position[k]
+            if isinstance(part, AtAltitudes) and part.boresight == "nadir":
+                ray = ray[2] * UP
+            found.append(
+                SiteView(
+                    float(self.path.altitude[k]), float(np.linalg.norm(ray)),
+                    angle_between(ray, -UP), angle_between(ray, -self.path.direction[k]),
+                )
+            )  # fmt: skip
+        return found
+
+    @property
+    def first_map_altitude(self) -> float:
+        """Altitude of the first measurement for the decision map, m.
+
+        It is infinite if no schedule states its altitudes, and 0 without a measurement.
+        """
+        known = [h for name in self.map_sensors if (h := self.altitudes(name)) is not None]
+        return max([0.0, *(max(h) for h in known if h)]) if known else np.inf
+
+    # --- diverts ---------------------------------------------------------------------------------
+
+    @cached_property
+    def edge(self) -> float:
+        """Distance from the target to the outermost site of the map, m; 0: no diverts.
+
+        The complete footprint of the lander is on the map there.
+        """
+        sizes = [float(s) for p in self.decision_map[1] if (s := getattr(p, "size", None))]
+        if not sizes or self.scenario.policy.kind == "no-divert":
+            return 0.0
+        return max(0.5 * min(sizes) - self.footprint_radius, 0.0)
+
+    @property
+    def footprint_radius(self) -> float:
+        """Radius of the circle around all pads, m."""
+        return self.lander.leg_radius + 0.5 * self.lander.pad_diameter
+
+    @cached_property
+    def first_diverts(self) -> list[Divert]:
+        """Diverts at the first decision, in eight directions, up to the edge of the map.
+
+        The propellant does not limit them. The first decision is due at
+        `decisions.first_altitude_m`, at the earliest when a sensor of the map has measured.
+        """
+        first = min(self.software.decisions.first_altitude, self.first_map_altitude)
+        return self._diverts_at(first)
+
+    @cached_property
+    def reachable(self) -> list[Divert]:
+        """Diverts in reach: at the first and last decision, and at their geometric mean."""
+        if not self.first_diverts:
+            return []
+        first, last = self.first_diverts[0].altitude, self.software.decisions.last_altitude
+        last = min(max(last, float(self.path.altitude[-1])), first)
+        later = [d for h in (np.sqrt(first * last), last) for d in self._diverts_at(float(h))]
+        return [d for d in (*self.first_diverts, *later) if np.isfinite(d.time_to_go)]
+
+    def _diverts_at(self, altitude: float) -> list[Divert]:
+        """Return the diverts at an altitude (m), from the shortest to the longest."""
+        approach, law, path = self.software.approach, self.software.guidance, self.path
         index = path.index_at(altitude)
-        if index >= len(path.time) - 1:
-            continue
-        grid, feasible, extra = _divert_grid(software, lander, gravity, path, index, edge)
-        found += [d for ring, able in zip(grid, feasible, strict=True)
-                  for d, a in zip(ring, able, strict=True) if a]  # fmt: skip
-        if k == 0:
-            complete = [s for s in range(len(_SCALES)) if feasible[: s + 1].all()]
-            reach = edge * _SCALES[complete[-1]] if complete else 0.0
-            k_edge = -1 if feasible[-1].any() else (complete[-1] if complete else 0)
-            cost = float(extra[k_edge][feasible[k_edge]].max(initial=0.0))
-    return tuple(found), reach, cost
+        if self.edge == 0.0 or index == len(path.time) - 1:
+            return []
+        here, angle = path.estimate(index), 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+        ring = np.column_stack((np.sin(angle), np.cos(angle), np.zeros(_DIRECTIONS)))
+        sites = np.concatenate([np.zeros((1, 3)), *(self.edge * s * ring for s in _SCALES)])
+        ends, limits = approach.end(sites, self.lander), replace(approach.limits, reserve=0.0)
+        cost = law.cost(here, ends, unlimited_lander(self.lander), self.gravity, limits)
+        home = float(cost.propellant[0])
+        base = home if np.isfinite(home) else float(path.mass[index] - path.mass[-1])
+        found = []
+        for site, position, time, propellant in zip(
+            sites, ends.position, cost.time_to_go, cost.propellant, strict=True
+        ):
+            turn = 0.0
+            if np.isfinite(time):
+                end = PhaseEnd(position, ends.velocity, ends.acceleration)
+                planned = path_shape(law).path(here.position, here.velocity, end, float(time))
+                turn = angle_between(path.direction[index], planned.command + self.gravity * UP)
+            away = float(np.hypot(*site[:2]))
+            height = float(path.altitude[index])
+            found.append(Divert(height, away, float(time), turn, float(propellant - base)))
+        return found[1:]
 
+    @cached_property
+    def largest_rotation(self) -> float:
+        """Largest rotation of the thrust on the approach or at a divert, rad."""
+        u = self.path.direction[::10]
+        along = float(np.arccos(np.clip(u @ u.T, -1.0, 1.0)).max())
+        return max([along, *(d.rotation for d in self.reachable)])
 
-def _divert_grid(
-    software: FlightSoftware, lander: Lander, gravity: float, path: DescentPath, index: int,
-    edge: float,
-) -> tuple[list[list[Divert]], Array, Array]:  # fmt: skip
-    """Return diverts, feasibility and extra propellant (kg) by distance, direction.
+    # --- notes -----------------------------------------------------------------------------------
 
-    The last two are arrays (scales, directions).
-    """
-    approach, law, shape = software.approach, software.guidance, path_shape(software.guidance)
-    here = path.estimate(index)
-    angle = 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
-    ring = np.column_stack((np.sin(angle), np.cos(angle), np.zeros(_DIRECTIONS)))
-    sites = np.concatenate([np.zeros((1, 3)), *(edge * s * ring for s in _SCALES)])
-    ends = approach.end(sites, lander)
-    limits = replace(approach.limits, reserve=0.0)
-    cost = law.cost(here, ends, unlimited_lander(lander), gravity, limits)
-    home = cost.propellant[0]
-    base = home if np.isfinite(home) else float(path.mass[index] - path.mass[-1])
-    before, rows = path.direction[index], []
-    for k in range(1, len(sites)):
-        time = float(cost.time_to_go[k])
-        turn = 0.0
-        if np.isfinite(time):
-            end = PhaseEnd(ends.position[k], ends.velocity, ends.acceleration)
-            command = shape.path(here.position, here.velocity, end, time).command
-            turn = angle_between(before, command + np.array([0.0, 0.0, gravity]))
-        extra = float(cost.propellant[k] - base)
-        away = float(np.hypot(*sites[k, :2]))
-        rows.append(Divert(float(path.altitude[index]), away, time, turn, extra))
-    grid = [rows[i : i + _DIRECTIONS] for i in range(0, len(rows), _DIRECTIONS)]
-    shape2 = (len(_SCALES), _DIRECTIONS)
-    feasible = np.isfinite(cost.time_to_go[1:]).reshape(shape2)
-    return grid, feasible, np.asarray((cost.propellant[1:] - base).reshape(shape2))
-
-
-def angle_between(a: Array, b: Array) -> float:
-    """Return the angle between two vectors (3,), rad."""
-    cross = float(np.linalg.norm(np.cross(a, b)))
-    return float(np.arctan2(cross, float(np.dot(a, b))))
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences about simplifications for this scenario."""
+        law, (name, parts) = self.software.guidance, self.decision_map
+        kind = self.scenario.guidance.kind
+        is_open = kind in ("optimal", "neural-optimal", "information-seeking")
+        cases = {
+            f"guidance '{kind}': its paths have no closed form; an Apollo path with its "
+            "time-to-go is checked.": is_open or not hasattr(law, "shape"),
+            "braking: only its minimum propellant is checked.": self.software.braking is not None,
+            f"mappers.{name}: states no size_m; diverts are not checked.":
+                bool(name) and not any(hasattr(p, "size") for p in parts),
+            "approach: no path keeps its limits of angles; only gear and maps are checked.":
+                not self.path.is_within_limits,
+        }  # fmt: skip
+        return tuple(text for text, applies in cases.items() if applies)

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
 
 Status = Literal["ok", "marginal", "violated"]
 Sense = Literal["at least", "at most"]
+AT_LEAST: Sense = "at least"
+AT_MOST: Sense = "at most"
 
 FORMAT = "lunarsim vehicle check 1"
+# Factors from SI units to the units of rows.
+_PER_SI_UNIT = {unit: math.degrees(1.0) for unit in ("deg", "deg/s", "deg/s^2")}
 
 
 @dataclass(frozen=True)
@@ -43,8 +48,8 @@ class CheckRow:
     available: float
     unit: str
     advice: str
-    sense: Sense = "at least"
-    wanted_margin: float = 0.0
+    sense: Sense
+    wanted_margin: float
 
     @property
     def margin(self) -> float:
@@ -68,26 +73,14 @@ class CheckRow:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the row for a JSON file; numbers that are not finite become None."""
-        return {
-            "name": self.name,
-            "subject": self.subject,
-            "quantity": self.quantity,
-            "sense": self.sense,
-            "required": _finite(self.required),
-            "available": _finite(self.available),
-            "unit": self.unit,
-            "margin": _finite(self.margin),
-            "wanted_margin": _finite(self.wanted_margin),
-            "status": self.status,
-            "advice": self.advice,
-        }
+        values = {**vars(self), "margin": self.margin, "status": self.status}
+        return {k: _finite(v) if isinstance(v, float) else v for k, v in values.items()}
 
     def as_warning(self) -> str:
         """Return the row as one sentence pair: status, values, and advice."""
         unit = f" {self.unit}" if self.unit else ""
-        relation = "at least" if self.sense == "at least" else "at most"
         return (
-            f"{self.status}: {self.quantity} must be {relation} {format_value(self.required)}"
+            f"{self.status}: {self.quantity} must be {self.sense} {format_value(self.required)}"
             f"{unit}, got {format_value(self.available)}{unit}. {self.advice}"
         )
 
@@ -108,7 +101,7 @@ class VehicleCheck:
 
     scenario: str
     rows: tuple[CheckRow, ...]
-    not_checked: tuple[str, ...] = field(default=())
+    not_checked: tuple[str, ...]
 
     def named(self, name: str) -> CheckRow:
         """Return the row with a name.
@@ -127,11 +120,6 @@ class VehicleCheck:
         """Return the rows with a status."""
         return tuple(row for row in self.rows if row.status == status)
 
-    @property
-    def is_violated(self) -> bool:
-        """Whether at least one check is violated."""
-        return bool(self.with_status("violated"))
-
     def as_dict(self) -> dict[str, Any]:
         """Return the result for a JSON file."""
         return {
@@ -142,6 +130,55 @@ class VehicleCheck:
             "rows": [row.as_dict() for row in self.rows],
             "not_checked": list(self.not_checked),
         }
+
+
+class Found(NamedTuple):
+    """Required and available value of a row, SI, and the words for its texts."""
+
+    required: float
+    available: float
+    words: dict[str, Any]
+
+
+def one(required: float, available: float, **words: Any) -> list[Found]:
+    """Return both values of a check, SI, and the words for its texts, as one row."""
+    return [Found(float(required), float(available), words)]
+
+
+class Check(NamedTuple):
+    """Declaration of a check. `{word}` in its texts stands for a word of `Found`.
+
+    Attributes
+    ----------
+    name, subject, unit, sense, wanted_margin, quantity
+        Values of the rows, as in `CheckRow`.
+    advice
+        What happens if the check is violated, and which keys to change.
+    values
+        Function of the `Mission` that returns the values of each row; none if the check does not
+        apply.
+    """
+
+    name: str
+    subject: str
+    unit: str
+    sense: Sense
+    wanted_margin: float
+    values: Callable[[Any], Iterable[Found]]
+    quantity: str
+    advice: str
+
+    def rows(self, mission: Any) -> list[CheckRow]:
+        """Return the rows of a mission."""
+        scale, rows = _PER_SI_UNIT.get(self.unit, 1.0), []
+        for required, available, words in self.values(mission):
+            texts = (self.name, self.quantity, f"Otherwise {self.advice}.")
+            name, quantity, advice = (t.format(torque=mission.torque_keys, **words) for t in texts)
+            rows.append(CheckRow(
+                name, self.subject, quantity, scale * required, scale * available, self.unit,
+                advice, self.sense, self.wanted_margin,
+            ))  # fmt: skip
+        return rows
 
 
 def format_value(value: float) -> str:

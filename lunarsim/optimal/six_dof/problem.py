@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
+from lunarsim.frames import angle_between
 from lunarsim.models.lander import Lander
 from lunarsim.optimal.problem import Descent
 from lunarsim.optimal.validation import check_numbers, is_number
@@ -41,11 +42,6 @@ class InitialState(Protocol):
     @property
     def thrust(self) -> float:
         """Current thrust of the engine, N."""
-
-
-def angle_between(a: Array, b: Array) -> float:
-    """Return the angle between two directions (3,), rad."""
-    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
 
 
 @dataclass(frozen=True)
