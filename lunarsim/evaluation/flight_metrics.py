@@ -139,9 +139,7 @@ def trajectory_metrics(flight: Flight, lander: Lander) -> dict[str, float]:
         "horizontal_speed_at_10m_m_s": speed,
         "miss_m": miss,
         "navigation_error_m": float(np.hypot(*(estimated - position)[-1, :2])),
-        "navigation_velocity_error_m_s": float(
-            np.linalg.norm((estimated_velocity - velocity)[-1])
-        ),
+        "navigation_velocity_error_m_s": float(np.linalg.norm((estimated_velocity - velocity)[-1])),
     }
 
 

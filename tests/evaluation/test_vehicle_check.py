@@ -14,12 +14,9 @@ from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.evaluation.vehicle_check import check_vehicle
 from lunarsim.evaluation.vehicle_check.attitude import (
-    delay_margin,
     guidance_delay,
     offset_torques,
-    rotation_time,
     slosh_torque,
-    tilt_torque,
 )
 from lunarsim.evaluation.vehicle_check.descent_checks import tip_over_speed
 from lunarsim.evaluation.vehicle_check.mission import Mission
@@ -28,6 +25,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.models.slosh import Slosh
 from lunarsim.models.thrusters import Thrusters
 from lunarsim.onboard.control.allocation import ThrusterAllocation
+from lunarsim.onboard.guidance.rotation import delay_margin
 from lunarsim.scenario import Scenario, shipped
 from lunarsim.scenario.changes import with_changes
 
@@ -252,21 +250,6 @@ def test_values_of_scans_are_those_of_the_geometry():
     height = found.named("range-altimeter").required
     third = np.sort(-beams[:, 2])[::-1][2]
     assert found.named("range-velocimeter").required == pytest.approx(height / third, rel=1e-6)
-
-
-def test_rotation_times_are_those_of_a_bang_bang_manoeuvre():
-    assert rotation_time(0.8, 0.2, np.inf) == pytest.approx(2.0 * np.sqrt(0.8 / 0.2))
-    # With a limit w: acceleration and braking take w / a each and cover w^2 / a.
-    w, a = 0.1, 0.2
-    coast = (0.8 - w**2 / a) / w
-    assert rotation_time(0.8, a, w) == pytest.approx(2.0 * w / a + coast)
-    assert rotation_time(w**2 / a, a, w) == pytest.approx(2.0 * w / a)
-
-
-def test_thrusters_on_the_diagonals_are_weakest_about_a_diagonal():
-    lander = JetLander(thrusters=Thrusters(force=50.0, cluster_radius=1.1))
-    # Two thrusters at the full radius; the other clusters lie on the axis.
-    assert tilt_torque(lander) == pytest.approx(2.0 * 50.0 * 1.1, rel=1e-6)
 
 
 @pytest.mark.parametrize(("k_r", "k_v"), [(12.0, 6.0), (6.0, 4.0), (0.36, 1.32)])

@@ -9,24 +9,24 @@ from typing import Any
 
 import numpy as np
 
-from lunarsim.evaluation.vehicle_check.descent import path_shape
 from lunarsim.evaluation.vehicle_check.mission import Divert, Mission
 from lunarsim.evaluation.vehicle_check.rows import AT_LEAST, AT_MOST, Check, Found, one
 from lunarsim.frames import angle_between
 from lunarsim.models.jet_lander import JetLander
-from lunarsim.models.lander import Lander
 from lunarsim.models.thrusters import Thrusters
 from lunarsim.onboard.control.allocation import ThrusterAllocation
 from lunarsim.onboard.control.phase_plane import PhasePlane
+from lunarsim.onboard.guidance.rotation import (
+    RotationLimits,
+    delay_margin,
+    guidance_delay_margin,
+    path_shape,
+    tilt_torque,
+)
 from lunarsim.typing import Array
 
-# The phase-plane law brakes rotations with half of the authority (`PhasePlane.rate_change`).
-_PHASE_PLANE_SHARE = 0.5
-# Extension of the time-to-go after a late rotation. The factor is chosen, not derived. It separates
-# the default thrusters (needed over allowed time: 0.9; they land as safely as ideal attitude
-# control, docs/validation/actuators.md) from a lander of 1.9 t with thrusters of 50 N (1.1), whose
-# attitude oscillates after diverts. A ratio near 1 is therefore no proof in either direction:
-# the lunar module with decisions down to 50 m has 1.1 and lands if it needs no late divert.
+# Tolerated extension of the time-to-go by the rotation of a divert. The factor is chosen, not
+# derived: a lander beyond it flies at least twice as long to the sites of its last diverts.
 _EXTENSION = 2.0
 # Fill fractions at which slosh is examined.
 _FILLS = (1.0, 0.75, 0.5, 0.25, 0.1)
@@ -41,57 +41,12 @@ def allocation_of(thrusters: Thrusters) -> ThrusterAllocation:
     return ThrusterAllocation(thrusters)
 
 
-def tilt_torque(lander: Lander) -> float:
-    """Return the maximum torque about the weakest horizontal body axis, N m.
-
-    Thrusters in four clusters on the diagonals have 0.71 times the torque about a diagonal that
-    they have about body x, because two clusters lie on this axis. Torques of other landers are
-    limited about each body axis.
-    """
-    if not isinstance(lander, JetLander):
-        return float(min(lander.torque_max[:2]))
-    allocation, angles = allocation_of(lander.thrusters), np.linspace(0.0, 2.0 * np.pi, 17)
-    # A torque beyond the authority is scaled down along its direction.
-    much = 1e3 * float(np.abs(lander.thrusters.torques).sum())
-    axes = np.column_stack((np.cos(angles), np.sin(angles), np.zeros(17)))
-    return min(float(allocation.impulse(allocation.on_times(much * a, 1.0)) @ a) for a in axes)
-
-
-def rotation_time(angle: float, acceleration: float, max_rate: float) -> float:
-    """Return the shortest time of a rest-to-rest rotation, s.
-
-    A bang-bang manoeuvre takes ``2 sqrt(angle / acceleration)``. If its peak rate ``sqrt(angle
-    acceleration)`` exceeds the maximum rate w, the lander coasts in between and needs ``angle / w +
-    w / acceleration``. `angle` is in rad, `acceleration` in rad/s^2, `max_rate` in rad/s.
-    """
-    if angle <= 0.0:
-        return 0.0
-    if np.sqrt(angle * acceleration) <= max_rate:
-        return float(2.0 * np.sqrt(angle / acceleration))
-    return float(angle / max_rate + max_rate / acceleration)
-
-
-def delay_margin(k_r: float, k_v: float) -> float:
-    """Return the delay (s) at which the loop ``a = -k_r x - k_v v`` is unstable.
-
-    `k_r` is in 1/s^2 and `k_v` in 1/s. The loop gain is 1 at the frequency w with ``w^4 = k_r^2 +
-    k_v^2 w^2``; the phase margin there is ``atan(k_v w / k_r)``, and the delay margin is phase over
-    frequency.
-    """
-    w = np.sqrt(0.5 * (k_v**2 + np.sqrt(k_v**4 + 4.0 * k_r**2)))
-    return float(np.arctan2(k_v * w, k_r) / w)
-
-
 def guidance_delay(mission: Mission, time_to_go: float) -> float:
-    """Return the delay (s) of attitude that guidance tolerates at a time-to-go T (s).
+    """Return the delay (s) of attitude that guidance tolerates at a time-to-go (s).
 
-    A law with the powers p and q of T feeds back ``a = -k_r x / T^2 - k_v v / T`` with ``k_r = (p +
-    2) (q + 2)`` and ``k_v = p + q + 3`` (Lu 2020). At constant T, its delay margin is 0.20 T for
-    the Apollo law and 0.29 T for E-guidance. Guidance also compensates the response time of the
-    control.
+    It is the delay margin, and the response time of the control, which guidance compensates.
     """
-    p, q = path_shape(mission.software.guidance).powers
-    margin = delay_margin((p + 2.0) * (q + 2.0), p + q + 3.0)
+    margin = guidance_delay_margin(path_shape(mission.software.guidance))
     return margin * time_to_go + float(mission.software.control.response_time)
 
 
@@ -100,27 +55,13 @@ def slew_limit(mission: Mission) -> float:
     return float(getattr(mission.software.control, "slew_limit", np.inf))
 
 
-def tilt_acceleration(mission: Mission, mass: float) -> float:
-    """Return the angular acceleration of a tilt at a mass (kg), rad/s^2.
-
-    It is ``tilt_torque / I`` with the larger horizontal moment of inertia. A control that brakes
-    with the share s of the acceleration a needs the time of a rotation with the harmonic mean ``2 a
-    s / (1 + s)``. Control that commands no torques has no limit.
-    """
-    if not getattr(mission.software.control, "torques", True):
-        return np.inf
-    share = _PHASE_PLANE_SHARE if isinstance(mission.software.control, PhasePlane) else 1.0
-    inertia = float(mission.lander.inertia(mass)[:2].max())
-    return tilt_torque(mission.lander) / inertia * 2.0 * share / (1.0 + share)
-
-
 def turn_time(mission: Mission, angle: float, mass: float | None = None) -> float:
     """Return the time (s) of a rotation by an angle (rad).
 
     `mass` is in kg; None: that at the start.
     """
-    acceleration = tilt_acceleration(mission, mission.start_mass if mass is None else mass)
-    return rotation_time(angle, acceleration, slew_limit(mission))
+    limits = RotationLimits.of(mission.lander, mission.software.control)
+    return float(limits.time(angle, mission.start_mass if mass is None else mass))
 
 
 def offset_torques(lander: JetLander, mass: float, thrust: float) -> Array:
@@ -180,8 +121,8 @@ def _divert_rotation(mission: Mission) -> list[Found]:
     """Return needed and allowed time of the worst rotation at a divert.
 
     Guidance tolerates a rotation of duration ``t <= 2 (m T + response time)`` (`guidance_delay`).
-    If commands exceed the limits, the onboard computer extends the time-to-go; twice this time is
-    therefore the requirement, and this time gives a sufficient margin.
+    In flight, the onboard computer takes a longer path for a longer rotation, or refuses the
+    divert. Twice this time is the requirement, and this time gives a sufficient margin.
     """
 
     def times(d: Divert) -> tuple[float, float]:
@@ -226,7 +167,8 @@ def _braking(mission: Mission) -> list[Found]:
         needed = control.frequency * slew_limit(mission) / (4.0 * control.damping)
     if needed is None or np.isinf(needed):
         return []
-    return one(tilt_acceleration(mission, mission.start_mass), needed)
+    limits = RotationLimits.of(mission.lander, control)
+    return one(limits.acceleration(mission.start_mass), needed)
 
 
 def _overshoot(mission: Mission) -> list[Found]:
@@ -277,8 +219,8 @@ ATTITUDE_CHECKS = (
     Check("divert-rotation-time", "attitude", "s", AT_LEAST, _EXTENSION - 1.0, _divert_rotation,
         "time of the rotation by {angle:.0f} deg for a divert of {distance:.0f} m at "
         "{altitude:.0f} m altitude",
-        "guidance reacts to its own late rotations, and the tilt oscillates with growing "
-        "amplitude: raise {torque}, control.slew_limit_deg_s or decisions.last_altitude_m"),
+        "the lander takes a longer path, or the site is out of reach: raise {torque}, "
+        "control.slew_limit_deg_s or decisions.last_altitude_m"),
     Check("terminal-loop-delay", "attitude", "s", AT_LEAST, 0.25, _terminal_loop,
         "delay of a tilt by {angle:.0f} deg in the terminal descent",
         "the lander swings and touches down with horizontal speed: raise {torque} or "

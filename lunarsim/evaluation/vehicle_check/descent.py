@@ -10,7 +10,7 @@ import numpy as np
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.divert_cost import PathLimits
-from lunarsim.onboard.guidance.paths import APOLLO, PathShape
+from lunarsim.onboard.guidance.rotation import path_shape
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.phases import initial_time_to_go
 from lunarsim.typing import Array
@@ -87,12 +87,6 @@ def as_estimate(position: Array, velocity: Array, mass: float) -> Estimate:
     """Return position (3,), m, velocity (3,), m/s, and mass (kg) as an estimate."""
     upright = np.array([0.0, 0.0, 0.0, 1.0])
     return Estimate(0.0, position, velocity, upright, np.zeros(3), mass, np.zeros((9, 9)))
-
-
-def path_shape(law: Any) -> PathShape:
-    """Return the shape of a guidance law's paths; Apollo's for a law without one."""
-    shape = getattr(law, "shape", None)
-    return shape if isinstance(shape, PathShape) else APOLLO
 
 
 def unlimited_lander(lander: Lander, *, thrust: bool = False) -> Lander:

@@ -13,7 +13,6 @@ from lunarsim.evaluation.vehicle_check.descent import (
     UP,
     ApproachPath,
     as_estimate,
-    path_shape,
     plan_approach,
     unlimited_lander,
 )
@@ -21,6 +20,7 @@ from lunarsim.frames import angle_between
 from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.rotation import path_shape
 from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.hazards.fusion import FusedMapperSettings
 from lunarsim.onboard.hazards.mapper import sensor_names

@@ -40,18 +40,25 @@ def tilt_torque(lander: Lander) -> float:
     return min(float(allocation.impulse(allocation.on_times(large * a, 1.0)) @ a) for a in axes)
 
 
+def delay_margin(k_r: float, k_v: float) -> float:
+    """Return the delay (s) at which the loop ``a = -k_r x - k_v v`` is unstable.
+
+    `k_r` is in 1/s^2 and `k_v` in 1/s. The loop gain is 1 at the frequency w with ``w^4 = k_r^2 +
+    k_v^2 w^2``; the phase margin there is ``atan(k_v w / k_r)``, and the delay margin is phase over
+    frequency.
+    """
+    w = np.sqrt(0.5 * (k_v**2 + np.sqrt(k_v**4 + 4.0 * k_r**2)))
+    return float(np.arctan2(k_v * w, k_r) / w)
+
+
 def guidance_delay_margin(shape: PathShape) -> float:
     """Return the delay over the time-to-go at which guidance becomes unstable.
 
     A law with the powers p and q of time-to-go T feeds back ``a = -k_r x / T^2 - k_v v / T`` with
-    ``k_r = (p + 2) (q + 2)`` and ``k_v = p + q + 3`` (Lu 2020). At constant T the loop gain is 1 at
-    the frequency w / T with ``w^4 = k_r^2 + k_v^2 w^2``; the phase margin there is
-    ``atan(k_v w / k_r)``, and the delay margin is phase over frequency. It is 0.20 for the Apollo
-    law and 0.29 for E-guidance.
+    ``k_r = (p + 2) (q + 2)`` and ``k_v = p + q + 3`` (Lu 2020). At constant T, its delay margin is
+    0.20 T for the Apollo law and 0.29 T for E-guidance.
     """
-    k_r, k_v = (shape.low + 2.0) * (shape.high + 2.0), shape.low + shape.high + 3.0
-    w = np.sqrt(0.5 * (k_v**2 + np.sqrt(k_v**4 + 4.0 * k_r**2)))
-    return float(np.arctan2(k_v * w, k_r) / w)
+    return delay_margin((shape.low + 2.0) * (shape.high + 2.0), shape.low + shape.high + 3.0)
 
 
 def path_shape(law: Any) -> PathShape:
