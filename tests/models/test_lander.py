@@ -33,3 +33,5 @@ def test_lander_must_hover():
         Lander(thrust_max=2000.0).check_hover(G)
     with pytest.raises(InputError, match="cannot descend"):
         Lander(thrust_min=3000.0).check_hover(G)
+    # 1100 kg and a reserve of 800 kg weigh 3082 N.
+    Lander(thrust_min=3000.0, propellant_mass=900.0).check_hover(G, 800.0)

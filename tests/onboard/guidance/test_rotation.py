@@ -52,6 +52,22 @@ def test_rotation_times_are_bang_bang_until_the_rate_limit(angle, expected):
     assert limits.time(angle, 1300.0) == pytest.approx(expected, rel=1e-4)
 
 
+def test_the_axis_with_the_largest_inertia_and_the_smallest_torque_limits_rotations():
+    lander = Lander(
+        inertia_dry=(900.0, 1200.0, 1300.0), inertia_full=(900.0, 1200.0, 1300.0),
+        torque_max=(300.0, 600.0, 300.0),
+    )  # fmt: skip
+    limits = RotationLimits.of(lander, ProportionalDerivative())
+    assert limits.acceleration(1300.0) == pytest.approx(300.0 / 1200.0)
+
+
+def test_each_end_of_the_thrust_range_has_its_own_margin():
+    lander = Lander(thrust_min=1000.0, thrust_max=5000.0)
+    assert Approach(throttle_margin=0.1).limits.thrust_range(lander) == (1400.0, 4600.0)
+    apart = Approach(throttle_margin=0.1, lower_throttle_margin=0.0).limits
+    assert apart.thrust_range(lander) == (1000.0, 4600.0)
+
+
 def test_ideal_attitude_control_rotates_at_its_rate_limit():
     limits = RotationLimits.of(Lander(), IdealAttitude(slew_limit=0.2))
     with np.errstate(all="raise"):
