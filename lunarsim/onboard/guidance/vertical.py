@@ -9,6 +9,7 @@ import numpy as np
 
 from lunarsim.core.guidance import VerticalDescentParams, vertical_descent_command
 from lunarsim.errors import InputError
+from lunarsim.frames import quat_to_matrix
 from lunarsim.onboard.guidance.contract import PhaseEnd, require_finite_state
 from lunarsim.onboard.guidance.rotation import RotationLimits
 from lunarsim.onboard.navigation.estimate import Estimate
@@ -99,6 +100,8 @@ class VerticalDescent:
     max_offset
         Horizontal distance from the site at which the lander may stop, m. If it would stop farther
         away, the vertical descent does not begin: the lander hovers and approaches again.
+    lag
+        Total response lag of attitude control and engine, s.
     dry_mass
         Mass of the lander without propellant, kg.
     """
@@ -169,6 +172,7 @@ class VerticalDescent:
         help="horizontal distance from the site at which the lander can stop when the vertical "
         "descent is due; if it is larger, the lander hovers and approaches the site again",
     )
+    lag: float = hidden(0.0)
 
     def __post_init__(self) -> None:
         check_bounds(self, "terminal_descent")
@@ -199,7 +203,7 @@ class VerticalDescent:
     def for_lag(self, lag: float, gravity: float, dry_mass: float) -> VerticalDescent:
         """Return the law for a total lag (s), gravity (m/s^2) and dry mass (kg)."""
         frequency = min(self.frequency, _MAX_FREQUENCY_LAG / max(lag, 1e-6))
-        return replace(self, frequency=frequency, gravity=gravity, dry_mass=dry_mass)
+        return replace(self, frequency=frequency, gravity=gravity, dry_mass=dry_mass, lag=lag)
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2.
@@ -218,9 +222,13 @@ class VerticalDescent:
     def can_reach(self, estimate: Estimate, end: PhaseEnd) -> bool:
         """Return whether the lander can stop within `max_offset` of the site of `end`.
 
-        It stops with the horizontal deceleration at the maximum tilt.
+        It stops with the horizontal deceleration at the maximum tilt. Before, its current tilt
+        changes the velocity for half of the response lag.
         """
-        velocity = estimate.velocity[:2]
+        axis = quat_to_matrix(estimate.attitude)[:, 2]
+        velocity = estimate.velocity[:2] + 0.5 * self.lag * self.gravity * axis[:2] / max(
+            axis[2], 0.1
+        )
         stopping_time = float(np.hypot(*velocity)) / (self.gravity * np.tan(self.max_tilt))
         stop = estimate.position[:2] + 0.5 * stopping_time * velocity
         return float(np.hypot(*(stop - end.position[:2]))) <= self.max_offset

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -157,6 +158,18 @@ def test_the_vertical_descent_reaches_what_lies_within_its_stopping_distance(
     """The lander stops v^2 / (2 g tan 12 deg) farther on: 9.1 m at 2.5 m/s, 11.4 m at 2.8 m/s."""
     state = estimate([offset, 0.0, 10.0], [velocity, 0.0, -2.0])
     assert VerticalDescent(gravity=G).can_reach(state, GROUND) == reaches
+
+
+def test_the_current_tilt_counts_until_the_lander_has_responded():
+    """35 deg for half of 2 s change the velocity by 1.1 m/s, and the stop by 6 m and more."""
+    law = VerticalDescent().for_lag(2.0, G, 1100.0)
+    half = np.deg2rad(35.0) / 2.0
+    level = estimate([2.0, 0.0, 10.0], [2.0, 0.0, -1.0])
+    ahead, back = (
+        replace(level, attitude=np.array([0.0, sign * np.sin(half), 0.0, np.cos(half)]))
+        for sign in (1.0, -1.0)
+    )
+    assert [law.can_reach(state, GROUND) for state in (level, ahead, back)] == [True, False, True]
 
 
 @pytest.mark.parametrize("max_tilt", [12.0, 50.0])
