@@ -48,7 +48,8 @@ def test_presets_differ_only_in_the_lander(script):
 
 def test_a_preset_lands_and_is_reported(script, monkeypatch, capsys):
     module = script("landers", "presets")
-    small = {"terrain": {"size_m": 300.0, "posting_m": 1.0, "rms_slope_deg": 1.5}, "target": {}}
+    terrain = {"kind": "fractal", "size_m": 300.0, "posting_m": 1.0, "rms_slope_deg": 1.5}
+    small = {"terrain": terrain, "rocks": {"cover": 0.02}, "target": {}}
     monkeypatch.setitem(module.TERRAINS, "mare", small)
     study = module.study
     levels = {"vehicle": ["small_lander"], "terrain": ["mare"]}
