@@ -190,10 +190,11 @@ class JetLander(Lander):
                 "vehicle.engine.gap_upper_n", gap.gap_upper,
                 f"must be at most vehicle.thrust_max_n, which is {self.thrust_max:g} N",
             )  # fmt: skip
-        if gap.continuous_min > self.thrust_max:
+        if gap.continuous_min and not self.thrust_min < gap.continuous_min <= self.thrust_max:
             raise InputError(
                 "vehicle.engine.continuous_min_n", gap.continuous_min,
-                f"must be at most vehicle.thrust_max_n, which is {self.thrust_max:g} N",
+                f"must be 0, or more than vehicle.thrust_min_n ({self.thrust_min:g} N) and at most "
+                f"vehicle.thrust_max_n ({self.thrust_max:g} N)",
             )  # fmt: skip
         for name in ("com_dry", "com_full"):
             self._check_com(f"vehicle.{name}_m", getattr(self, name))

@@ -22,6 +22,9 @@ from lunarsim.onboard.site_evaluator import DescentStatus, SiteEvaluator
 RecordEvent = Callable[[float, str, dict[str, Any]], None]
 # A hover ends below this horizontal and vertical speed, m/s.
 _MAX_HOVER_END_SPEED_M_S = 1.0
+# Mean climb speed of a hover, m/s, and mean horizontal deceleration divided by gravity, for an
+# estimate of its propellant.
+_MEAN_CLIMB_SPEED_M_S, _MEAN_DECELERATION_RATIO = 2.0, 0.3
 
 
 class Phase(IntEnum):
@@ -182,9 +185,9 @@ class PhaseSequence:
             status.estimate, touchdown
         )
 
-    def _begin_vertical(self, status: DescentStatus) -> None:
+    def _begin_vertical(self, status: DescentStatus, **details: str) -> None:
         self.phase = Phase.VERTICAL
-        self._record(status.time, "vertical-descent", {"altitude": status.altitude})
+        self._record(status.time, "vertical-descent", {"altitude": status.altitude} | details)
 
     def _begin_hover(self, status: DescentStatus, touchdown: PhaseEnd) -> None:
         """Set the phase to HOVER; `touchdown` is the end that the descent cannot reach."""
@@ -201,21 +204,41 @@ class PhaseSequence:
         velocity, most = status.estimate.velocity, _MAX_HOVER_END_SPEED_M_S
         touchdown = self._approach.touchdown_end(status.site, self._lander).position
         distance = float(np.hypot(*(status.estimate.position - touchdown)[:2]))
-        # The lander climbs while it drifts away from its site.
         height = float(touchdown[2]) + self._approach.hover_height(distance)
-        self.hover_height = max(self.hover_height, height)
+        # The lander climbs higher if it drifts away from its site, unless this costs too much.
+        if height > self.hover_height and self._can_approach_from(height, status):
+            self.hover_height = height
         below = self.hover_height - float(status.estimate.position[2])
         if max(np.hypot(*velocity[:2]), abs(velocity[2]), below) > most:
             return False
         time_to_go, _ = self._evaluator.time_to(status.site, status.estimate)
         if not np.isfinite(time_to_go):
-            self._begin_vertical(status)
+            self._begin_vertical(status, reason="no path to the site")
             return True
         self.phase, self.arrival = Phase.APPROACH, status.time + time_to_go
         if isinstance(self._guidance, PlansArrival):
             self._guidance.arrival = None
         self._record(status.time, "approach", {"altitude": status.altitude})
         return False
+
+    def _can_approach_from(self, height: float, status: DescentStatus) -> bool:
+        """Return whether a path leads to the site after a climb to a height (m) and a stop.
+
+        The propellant of the hover until then is estimated with mean values of climb speed and
+        horizontal deceleration.
+        """
+        estimate, gravity = status.estimate, self._evaluator.briefing.surface_gravity
+        climb = height - float(estimate.position[2])
+        speed = float(np.hypot(*estimate.velocity[:2]))
+        seconds = climb / _MEAN_CLIMB_SPEED_M_S + speed / (_MEAN_DECELERATION_RATIO * gravity)
+        start = replace(
+            estimate,
+            position=np.array([*estimate.position[:2], height]),
+            velocity=np.zeros(3),
+            attitude=np.array([0.0, 0.0, 0.0, 1.0]),
+            mass=estimate.mass * float(np.exp(-gravity * seconds / self._lander.exhaust_velocity)),
+        )
+        return bool(np.isfinite(self._evaluator.time_to(status.site, start)[0]))
 
     def allowed_time_scale(
         self, status: DescentStatus, time_scale: float | None, inhibited: bool

@@ -149,8 +149,21 @@ def test_without_the_propellant_for_a_second_approach_it_lands_where_it_hovers(b
     """The reserve leaves no path to the site; the vertical descent goes straight down."""
     simulation, flight = flown(blind, approach=TOO_FAST | {"reserve_kg": 545.0}, **WIDE)
     assert events(flight, "hover", "approach", "vertical-descent") == ["hover", "vertical-descent"]
-    assert landed_well(simulation, flight, 0.5)
+    assert landed_well(simulation, flight, 1.5)
     assert np.hypot(*flight.outcome.touchdown.position[:2]) > 20.0
+
+
+@pytest.mark.parametrize("propellant", [70.0, 90.0])
+def test_a_hover_does_not_climb_if_it_cannot_pay_for_the_next_approach(blind, propellant):
+    """The steep glideslope asks for 200 m of height; the tanks would run dry on the way."""
+    _, flight = flown(
+        blind, approach=TOO_FAST | {"glideslope_deg": 45.0, "reserve_kg": 0.0},
+        vehicle={"propellant_mass_kg": propellant}, **WIDE,
+    )  # fmt: skip
+    assert events(flight, "hover", "approach", "vertical-descent") == ["hover", "vertical-descent"]
+    assert flight.trajectory["position_z"][flight.trajectory["phase"] == 4].max() < 30.0
+    assert flight.outcome.touchdown.vertical_speed < 2.5
+    assert flight.outcome.touchdown.horizontal_speed < 0.5
 
 
 def test_a_postponement_near_the_terrain_is_refused(blind):

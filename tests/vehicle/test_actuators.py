@@ -276,8 +276,9 @@ def test_an_engine_throttles_above_its_continuous_minimum():
     states = run(Actuators(lander, STEP), 20, start(lander), throttle=2500.0)
     flows = -np.diff([s.mass for s in states]) / STEP * lander.exhaust_velocity
     assert flows == pytest.approx(np.full(len(flows), 2500.0), rel=1e-3)
-    with pytest.raises(InputError, match="continuous_min_n"):
-        replace(LANDER, engine=replace(engine, continuous_min=LANDER.thrust_max + 1.0))
+    for least in (LANDER.thrust_max + 1.0, LANDER.thrust_min):
+        with pytest.raises(InputError, match="continuous_min_n"):
+            replace(LANDER, engine=replace(engine, continuous_min=least))
     with pytest.raises(InputError, match="min_pulse"):
         replace(engine, min_pulse=0.15)
     with pytest.raises(InputError, match="gap_upper"):

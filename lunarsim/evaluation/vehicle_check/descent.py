@@ -114,7 +114,10 @@ def plan_approach(
     """
     end, ends = approach.end(_SITE, lander), approach.end(_SITE[None, :], lander)
     no_reserve = replace(approach.limits, reserve=0.0)
-    free = (unlimited_lander(lander, thrust=True), replace(no_reserve, throttle_margin=0.0))
+    free = (
+        unlimited_lander(lander, thrust=True),
+        replace(no_reserve, throttle_margin=0.0, lower_throttle_margin=None),
+    )
     cases = ((lander, approach.limits), (unlimited_lander(lander), no_reserve), free)
 
     def time_within(vehicle: Lander, limits: PathLimits, times: Array | None = None) -> float:
