@@ -20,8 +20,8 @@ from lunarsim.onboard.site_evaluator import DescentStatus, SiteEvaluator
 
 # Records the event with a time, s, a name and details.
 RecordEvent = Callable[[float, str, dict[str, Any]], None]
-# A hover ends below this horizontal and vertical speed, m/s.
-_MAX_HOVER_END_SPEED_M_S = 1.0
+# A hover ends below this horizontal and vertical speed, m/s, at most this far below its height, m.
+_MAX_HOVER_END_SPEED_M_S, _MAX_HOVER_DEPTH_M = 0.4, 1.0
 # Mean climb speed of a hover, m/s, and mean horizontal deceleration divided by gravity, for an
 # estimate of its propellant.
 _MEAN_CLIMB_SPEED_M_S, _MEAN_DECELERATION_RATIO = 2.0, 0.3
@@ -201,7 +201,7 @@ class PhaseSequence:
 
         Without a path to the site, the vertical descent begins, and the result is True.
         """
-        velocity, most = status.estimate.velocity, _MAX_HOVER_END_SPEED_M_S
+        velocity = status.estimate.velocity
         touchdown = self._approach.touchdown_end(status.site, self._lander).position
         distance = float(np.hypot(*(status.estimate.position - touchdown)[:2]))
         height = float(touchdown[2]) + self._approach.hover_height(distance)
@@ -209,7 +209,8 @@ class PhaseSequence:
         if height > self.hover_height and self._can_approach_from(height, status):
             self.hover_height = height
         below = self.hover_height - float(status.estimate.position[2])
-        if max(np.hypot(*velocity[:2]), abs(velocity[2]), below) > most:
+        speed = max(np.hypot(*velocity[:2]), abs(velocity[2]))
+        if speed > _MAX_HOVER_END_SPEED_M_S or below > _MAX_HOVER_DEPTH_M:
             return False
         time_to_go, _ = self._evaluator.time_to(status.site, status.estimate)
         if not np.isfinite(time_to_go):
@@ -222,7 +223,7 @@ class PhaseSequence:
         return False
 
     def _can_approach_from(self, height: float, status: DescentStatus) -> bool:
-        """Return whether a path leads to the site after a climb to a height (m) and a stop.
+        """Return whether a path leads to the site after a stop at a height (m).
 
         The propellant of the hover until then is estimated with mean values of climb speed and
         horizontal deceleration.
