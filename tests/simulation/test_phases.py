@@ -176,6 +176,8 @@ def test_a_postponement_near_the_terrain_is_refused(blind):
     moved = replace(computer.estimate, position=computer.estimate.position + [12.0, 0.0, 0.0])
     computer._phases.extend(replace(computer.status, estimate=moved))
     assert computer._phases.arrival == arrival
+    computer._phases.replan(replace(computer.status, estimate=moved))
+    assert computer._phases.arrival == arrival
     time, name, details = computer.telemetry[-1]
     assert name == "postponement-refused"
     assert details["seconds"] > 5.0

@@ -38,3 +38,11 @@ def test_limits_are_its_own():
     limits = Approach(max_tilt=0.5, glideslope=0.2, reserve=7.0, throttle_margin=0.1).limits
     assert (limits.max_tilt, limits.glideslope) == (0.5, 0.2)
     assert (limits.reserve, limits.throttle_margin) == (7.0, 0.1)
+
+
+def test_a_postponement_is_limited_below_twice_the_altitude_of_the_end():
+    approach = Approach(vertical_altitude=10.0, max_late_postponement=5.0)
+    allowed = [
+        approach.allows_postponement(s, h) for s, h in ((5.1, 19.9), (5.1, 20.1), (5.0, 1.0))
+    ]
+    assert allowed == [False, True, True]

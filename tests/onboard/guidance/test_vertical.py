@@ -176,10 +176,12 @@ def test_the_current_tilt_counts_until_the_lander_has_responded():
 def test_a_hover_stops_the_lander_at_the_wanted_height(max_tilt):
     law = VerticalDescent(gravity=G, max_tilt=np.deg2rad(max_tilt))
     r, v = np.array([0.0, 0.0, 12.0]), np.array([20.0, -9.0, -1.0])
+    first = law.hover(estimate(r, v), 30.0)
+    assert np.hypot(*first[:2]) == pytest.approx(2.0 * np.tan(law.max_tilt) * first[2])
     for _ in range(6000):
         thrust = law.hover(estimate(r, v), 30.0)
-        tilt = np.arctan2(np.hypot(*thrust[:2]), thrust[2])
-        assert tilt <= 2.0 * law.max_tilt + 1e-9
+        assert np.hypot(*thrust[:2]) <= 2.0 * np.tan(law.max_tilt) * thrust[2] + 1e-9
+        assert v[2] < 4.01
         v = v + 0.01 * (thrust - np.array([0.0, 0.0, G]))
         r = r + 0.01 * v
     assert r[2] == pytest.approx(30.0, abs=0.05)
