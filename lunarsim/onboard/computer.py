@@ -68,6 +68,8 @@ class OnboardComputer:
         Evaluates sites and prepares the observation of the policy.
     mass_estimator
         Estimates the mass from the commanded thrust.
+    phases
+        Phase of the descent and its time-to-go.
     diverts
         Decisions that changed the site: time (s), old site (3,) in m, decision.
     updated_mappers
@@ -116,7 +118,7 @@ class OnboardComputer:
         self.candidates: Candidates | None = None
         self.updated_mappers: set[str] = set()
         self.expected_miss = float("nan")
-        self._phases = PhaseSequence(
+        self.phases = PhaseSequence(
             briefing, self.site_evaluator, self.guidance, self.vertical, self._record
         )
         self._thrust = 0.0
@@ -154,12 +156,12 @@ class OnboardComputer:
 
         During braking it counts to the end of braking, afterwards to the end of the approach.
         """
-        return self._phases.arrival - self.time
+        return self.phases.arrival - self.time
 
     @property
     def phase(self) -> Phase:
         """Current phase of the descent."""
-        return self._phases.phase
+        return self.phases.phase
 
     @property
     def status(self) -> DescentStatus:
@@ -273,7 +275,7 @@ class OnboardComputer:
             name = "diverts-inhibited" if self.diverts_inhibited else "diverts-enabled"
             self._record(self.time, name, {"site": self.site.copy()})
         self._update_site_height()
-        if not self._has_decided and elapsed == 0.0 and self._phases.chooses_time:
+        if not self._has_decided and elapsed == 0.0 and self.phases.chooses_time:
             # The plan was made for the planned start; replan from the actual position.
             self._replan()
 
@@ -350,7 +352,7 @@ class OnboardComputer:
         self._tilt_correction.apply(self.time, self.mass)
         for event in self.navigation.events[self._recorded_navigation_events :]:
             self._record(event.time, event.name, dict(event.details))
-            if event.name in {"lock", "relock"} and self._phases.chooses_time:
+            if event.name in {"lock", "relock"} and self.phases.chooses_time:
                 # A position error of tens of metres invalidates the planned path.
                 self.estimate = self.navigation.estimate(self.time, self.mass)
                 self._replan()
@@ -384,10 +386,10 @@ class OnboardComputer:
         decision = checked_decision(self.policy, decision, self.time)
         self._next_decision = self.time + self.decisions.interval
         if decision.abort:
-            self._phases.abort(self.status, decision.reason)
+            self.phases.abort(self.status, decision.reason)
             return True
         first, self._has_decided = not self._has_decided, True
-        time_scale, why = self._phases.allowed_time_scale(
+        time_scale, why = self.phases.allowed_time_scale(
             self.status, decision.time_scale, self.diverts_inhibited
         )
         if why:
@@ -410,7 +412,7 @@ class OnboardComputer:
             return False
         self.diverts.append((self.time, self.site, decision))
         self.site = site
-        self._phases.arrival = self.time + time_to_go
+        self.phases.arrival = self.time + time_to_go
         if why:
             self._record_refusal(site, why, time_scale)
         return True
@@ -420,7 +422,7 @@ class OnboardComputer:
 
         `time_scale` is a factor on the minimum-propellant time-to-go; None: 1.
         """
-        why = self._phases.replan(self.status, time_scale)
+        why = self.phases.replan(self.status, time_scale)
         if why:
             self._record_refusal(self.site, why, time_scale)
 
@@ -440,7 +442,7 @@ class OnboardComputer:
 
     def command(self) -> Command:
         """Return the command to vehicle and sensors for the next control cycle."""
-        if self._phases.advance(self.status):
+        if self.phases.advance(self.status):
             # The vertical descent lands below the lander.
             self.site = np.array([*self.estimate.position[:2], self.site[2]])
             self._update_site_height()
@@ -472,11 +474,11 @@ class OnboardComputer:
             given = self.guidance.command(here, end, self.time, self.time_to_go)
             wanted = checked_command("guidance", self.briefing.software.guidance, given, self.time)
             tilt = self.approach.max_tilt
-            self._phases.follow_guidance()
+            self.phases.follow_guidance()
             if self._limit_monitor.exceeds_duration(
                 wanted, self.mass, (tilt, self.lander.thrust_max), self.time
             ):
-                self._phases.extend(self.status)
+                self.phases.extend(self.status)
         elif self.phase == Phase.VERTICAL:
             end = self.approach.touchdown_end(self.site, self.lander)
             given = self.vertical.command(here, end, self.time)
@@ -487,7 +489,7 @@ class OnboardComputer:
         elif self.phase == Phase.HOVER:
             # Only a law that can hover begins this phase.
             assert isinstance(self.vertical, Hovers)
-            wanted = self.vertical.hover(self.estimate, self._phases.hover_height)
+            wanted = self.vertical.hover(self.estimate, self.phases.hover_height)
             tilt = self.approach.max_tilt
         else:
             wanted = climb(self.estimate, self.lander.thrust_max / self.mass)

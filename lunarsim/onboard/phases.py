@@ -167,7 +167,7 @@ class PhaseSequence:
         touchdown = self._approach.touchdown_end(status.site, self._lander)
         is_cut_short = self._approach.is_cut_short(status.altitude, left)
         if not is_cut_short and self._has_missed(status, touchdown):
-            self._begin_hover(status, touchdown)
+            self.begin_hover(status, touchdown)
         else:
             self._begin_vertical(status)
 
@@ -189,7 +189,7 @@ class PhaseSequence:
         self.phase = Phase.VERTICAL
         self._record(status.time, "vertical-descent", {"altitude": status.altitude} | details)
 
-    def _begin_hover(self, status: DescentStatus, touchdown: PhaseEnd) -> None:
+    def begin_hover(self, status: DescentStatus, touchdown: PhaseEnd) -> None:
         """Set the phase to HOVER; `touchdown` is the end that the descent cannot reach."""
         self.phase, self.hover_height = Phase.HOVER, float(status.estimate.position[2])
         distance = float(np.hypot(*(status.estimate.position - touchdown.position)[:2]))

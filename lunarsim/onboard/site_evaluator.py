@@ -62,6 +62,11 @@ class SiteEvaluator:
         Navigation filter; it reports whether the lander drifts relative to its map.
     mappers
         Hazard mappers by name.
+
+    Attributes
+    ----------
+    rotation_limits
+        Limits of rotation, which every path must leave time for.
     """
 
     def __init__(
@@ -72,7 +77,7 @@ class SiteEvaluator:
         self.approach, self.decisions = software.approach, software.decisions
         self._navigation, self._mappers = navigation, mappers
         descent = self.approach.vertical_altitude / self.approach.vertical_descent_speed
-        self._rotation = RotationLimits.of(self.lander, software.control)
+        self.rotation_limits = RotationLimits.of(self.lander, software.control)
         self._dispersion = LandingDispersion(self.decisions.touchdown_sigma, descent)
 
     @property
@@ -113,7 +118,7 @@ class SiteEvaluator:
         # Guidance laws need not accept times.
         given = () if times is None else (times,)
         cost: DivertCost = law.cost(estimate, end, self.lander, gravity, limits, *given)
-        return self._rotation.limit(cost, law, estimate, end, gravity, limits)
+        return self.rotation_limits.limit(cost, law, estimate, end, gravity, limits)
 
     def time_to(
         self, site: Array, estimate: Estimate, time_scale: float | None = None

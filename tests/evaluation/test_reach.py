@@ -35,7 +35,9 @@ def test_sites_out_of_reach_of_weak_thrusters_are_out_of_reach_in_the_record():
     onboard = simulation.computer.cost_of(sites, estimate)
     recorded = divert_cost_from(flight, estimate, sites)
     assert np.array_equal(recorded.time_to_go, onboard.time_to_go, equal_nan=True)
-    free = replace(simulation.computer.site_evaluator._rotation, torque=np.inf, max_rate=np.inf)
-    simulation.computer.site_evaluator._rotation = free
+    free = replace(
+        simulation.computer.site_evaluator.rotation_limits, torque=np.inf, max_rate=np.inf
+    )
+    simulation.computer.site_evaluator.rotation_limits = free
     unlimited = simulation.computer.cost_of(sites, estimate)
     assert not np.array_equal(recorded.time_to_go, unlimited.time_to_go, equal_nan=True)

@@ -103,8 +103,11 @@ def test_tanks_that_run_empty_in_flight_end_in_a_crash_that_is_recorded(law, tol
 def test_a_time_too_short_to_be_kept_ends_in_an_outcome(law, left):
     flight = Simulation(blind(law, approach={"time_to_go_s": left}), 1, "no-divert").run()
     assert whole(flight)
-    # The optimal law takes the time that it needs.
-    assert flight.outcome.safe == (law == "optimal")
+    # The optimal law takes the time that it needs; others may hover and approach again.
+    if flight.outcome.safe:
+        assert law == "optimal" or "hover" in names(flight)
+    else:
+        assert flight.outcome.failure_causes
 
 
 def test_a_time_under_a_step_of_control_is_refused():

@@ -103,7 +103,7 @@ def test_a_law_that_plans_its_arrival_plans_again_after_a_hover(blind, law):
     while computer.altitude > 20.0:
         simulation.step()
     before = computer.guidance.arrival
-    computer._phases._begin_hover(computer.status, computer.approach.end(computer.site, LANDER))
+    computer.phases.begin_hover(computer.status, computer.approach.end(computer.site, LANDER))
     flight = simulation.run()
     assert events(flight, "hover", "approach", "vertical-descent") == [
         "hover", "approach", "vertical-descent",
@@ -136,12 +136,12 @@ def test_a_time_scale_leaves_time_for_the_first_rotation(blind):
         velocity=np.array([20.0, 0.0, -15.0]), attitude=attitude / np.linalg.norm(attitude),
     )  # fmt: skip
     site = np.zeros(3)
-    evaluator._rotation = replace(evaluator._rotation, torque=10.0)
+    evaluator.rotation_limits = replace(evaluator.rotation_limits, torque=10.0)
     longer, _ = evaluator.time_to(site, state)
     one = site[None], state, np.array([0.5 * longer])
     assert evaluator.time_to(site, state, 0.5) == (longer, "beyond the limits")
     assert evaluator.time_to(site, state, 0.6) == (pytest.approx(0.6 * longer), "")
-    evaluator._rotation = replace(evaluator._rotation, torque=600.0)
+    evaluator.rotation_limits = replace(evaluator.rotation_limits, torque=600.0)
     assert evaluator.cost_of(*one).time_to_go[0] == 0.5 * longer
 
 
@@ -172,17 +172,17 @@ def test_a_postponement_near_the_terrain_is_refused(blind):
     computer = simulation.computer
     while computer.altitude > 15.0:
         simulation.step()
-    arrival = computer._phases.arrival
+    arrival = computer.phases.arrival
     moved = replace(computer.estimate, position=computer.estimate.position + [12.0, 0.0, 0.0])
-    computer._phases.extend(replace(computer.status, estimate=moved))
-    assert computer._phases.arrival == arrival
-    computer._phases.replan(replace(computer.status, estimate=moved))
-    assert computer._phases.arrival == arrival
+    computer.phases.extend(replace(computer.status, estimate=moved))
+    assert computer.phases.arrival == arrival
+    computer.phases.replan(replace(computer.status, estimate=moved))
+    assert computer.phases.arrival == arrival
     time, name, details = computer.telemetry[-1]
     assert name == "postponement-refused"
     assert details["seconds"] > 5.0
-    computer._phases.extend(replace(computer.status, estimate=moved, altitude=25.0))
-    assert computer._phases.arrival > arrival + 5.0
+    computer.phases.extend(replace(computer.status, estimate=moved, altitude=25.0))
+    assert computer.phases.arrival > arrival + 5.0
 
 
 @pytest.mark.parametrize(
