@@ -119,8 +119,10 @@ def load_requirements(path: Path) -> list[Requirement]:
     if unknown is not None:
         raise InputError(unknown, tables[unknown], "is an unknown table", "Use [[requirements]].")
     given = tables["requirements"]
-    if not isinstance(given, list):
-        raise InputError("requirements", type(given).__name__, "must be tables [[requirements]]")
+    if not isinstance(given, list) or not given:
+        raise InputError(
+            "requirements", type(given).__name__, "must be one or more tables [[requirements]]"
+        )
     out: list[Requirement] = [
         build_settings(f"requirements[{n}]", Requirement, table) for n, table in enumerate(given)
     ]

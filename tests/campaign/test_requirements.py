@@ -129,6 +129,8 @@ def test_the_command_prints_writes_and_judges(folder, tmp_path):
     [
         ("requirement = 1\n", "requirement", "unknown table"),
         ("requirements = 1\n", "requirements", "tables [[requirements]]"),
+        ("requirements = []\n", "requirements", "one or more tables"),
+        (GOOD + "at_most = nan\n", "requirements[0].at_most", "finite"),
         (GOOD.replace("metric", "metrik"), "requirements[0].metrik", "unknown key"),
         (GOOD + GOOD, "requirements[1].name", "only once"),
         (GOOD + "at_most = 1\nat_least = 0\n", "requirements[0].at_least", "beside at_most"),
