@@ -76,7 +76,6 @@ class DescentEngine:
         help="upper end of the thrust range in which the engine cannot run. The engine runs up to "
         "gap_lower_n or at exactly gap_upper_n; 0: no such range",
     )
-
     continuous_min: float = quantity(
         0.0,
         "N",
