@@ -48,19 +48,19 @@ from lunarsim.errors import InputError, check_folder
 @ALLOW_MODULE
 @click.option(
     "--perception", default=None, metavar="NAME", show_default="onboard",
-    help="Source of the hazard map in Retarget-v0: onboard (mappers of the scenario), truth (true "
+    help="Source of the hazard map in Retarget-v1: onboard (mappers of the scenario), truth (true "
     "safety), surrogate (statistical model of map errors), or one mapper: gaussian-dem, shadows, "
     "quadtree or fused.",
 )  # fmt: skip
 @click.option(
     "--observation", "parts", multiple=True, metavar="PART",
     show_default="observation of the environment",
-    help="Component of the observation, for example hazard_map in Retarget-v0. Repeat the option "
+    help="Component of the observation, for example hazard_map in Retarget-v1. Repeat the option "
     "for each component with which the agents were trained.",
 )  # fmt: skip
 @click.option(
     "--action", "decided", multiple=True, metavar="PART", show_default="site",
-    help="Component of the action in Retarget-v0: site (landing site) or time_scale (factor on the "
+    help="Component of the action in Retarget-v1: site (landing site) or time_scale (factor on the "
     "time-to-go). Repeat the option for each component.",
 )  # fmt: skip
 @click.option(
@@ -88,13 +88,13 @@ def evaluate(
 ) -> None:  # fmt: skip
     """Compare agents on identical episodes of an environment.
 
-    ENV is Retarget-v0, Guidance-v0, Control-v0, or a custom environment: module:namespace/Name-v0.
+    ENV is Retarget-v1, Guidance-v1, Control-v1, or a custom environment: module:namespace/Name-v0.
     An agent is one of:
 
     \b
       zero, random, hover, polynomial     built-in agents
-      apollo, e-guidance, ...             `lunarsim parts guidance`; for Guidance-v0
-      safest, nearest-safe, ...           `lunarsim parts policy`; for Retarget-v0
+      apollo, e-guidance, ...             `lunarsim parts guidance`; for Guidance-v1
+      safest, nearest-safe, ...           `lunarsim parts policy`; for Retarget-v1
       FILE.npz                            network, evaluated with NumPy only
       FILE.onnx                           exported network; needs the extra `onnx`
       FILE.zip                            Stable-Baselines3 model; needs --trust-pickle
@@ -111,7 +111,7 @@ def evaluate(
 
     \b
     Example:
-      lunarsim evaluate Guidance-v0 --agent apollo --agent polynomial --episodes 50
+      lunarsim evaluate Guidance-v1 --agent apollo --agent polynomial --episodes 50
     """  # noqa: D301
     from lunarsim.campaign.provenance import environment
     from lunarsim_envs.evaluation.parallel import WorkersDieError, check_agents, fly

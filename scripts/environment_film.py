@@ -1,4 +1,4 @@
-"""Make the film of `Retarget-v0`: `environment_film.py docs/images/retarget.gif`."""
+"""Make the film of `Retarget-v1`: `environment_film.py docs/images/retarget.gif`."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _SIZE, _SEED, _HOLD = (400, 360), 3, 5
 
 
 def main() -> None:
-    """Fly one episode of `Retarget-v0` and write a GIF with a frame every 2 s."""
+    """Fly one episode of `Retarget-v1` and write a GIF with a frame every 2 s."""
     assert lunarsim_envs.__name__
     env = gymnasium.make(
-        "lunarsim/Retarget-v0", scenario="golombek", render_mode="rgb_array_list", views=True
+        "lunarsim/Retarget-v1", scenario="golombek", render_mode="rgb_array_list", views=True
     )
     flies = agent_of("fuel-aware", env)
     flies.begin(np.random.default_rng(_SEED))

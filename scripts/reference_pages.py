@@ -45,7 +45,7 @@ the colon:
 ```python
 import gymnasium
 
-env = gymnasium.make("lunarsim_envs:lunarsim/Retarget-v0")
+env = gymnasium.make("lunarsim_envs:lunarsim/Retarget-v1")
 observation, info = env.reset(seed=1)
 observation, reward, terminated, truncated, info = env.step(0)
 ```
@@ -67,15 +67,15 @@ sensor of kind `navigation-fix`, and `"inertial"` otherwise.
 
 
 _RATES = {
-    "Control-v0": "50",
-    "Guidance-v0": "5",
-    "Retarget-v0": "1",
+    "Control-v1": "50",
+    "Guidance-v1": "5",
+    "Retarget-v1": "1",
 }
 # Agent, arguments of the environment, and number of steps before the frame is drawn.
 _FRAMES: dict[str, tuple[str, dict[str, Any], int]] = {
-    "Control-v0": ("hover", {}, 300),
-    "Guidance-v0": ("apollo", {}, 150),
-    "Retarget-v0": ("safest", {"scenario": "golombek"}, 3),
+    "Control-v1": ("hover", {}, 300),
+    "Guidance-v1": ("apollo", {}, 150),
+    "Retarget-v1": ("safest", {"scenario": "golombek"}, 3),
 }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gymnasium
 
-IDS = ("lunarsim/Guidance-v0", "lunarsim/Control-v0")
+IDS = ("lunarsim/Guidance-v1", "lunarsim/Control-v1")
 LOW = {
     "start.position_m": [-20.0, 5.0, 25.0], "start.velocity_m_s": [3.0, 0.0, -4.0],
     "start.position_sigma_m": 2.0, "start.velocity_sigma_m_s": 0.5, "terrain.size_m": 120.0,

@@ -82,7 +82,7 @@ def test_a_full_disk_leaves_one_line_and_nothing(work):
     spec = work / "spec.toml"
     spec.write_text('scenario = "tiny.toml"\nflights = 2\nrecords = "all"\n')
     assert _run(work, "campaign run spec.toml --out flown --jobs 1").stdout.startswith("0 ")
-    more = """evaluate Guidance-v0 --agent zero --episodes 1 --jobs 1 --out left/evaluated
+    more = """evaluate Guidance-v1 --agent zero --episodes 1 --jobs 1 --out left/evaluated
 campaign run spec.toml --out left/campaign --jobs 1
 compare tiny.toml --policies no-divert --flights 1 --jobs 1 --out left/compared
 campaign report flown --out left/report.html

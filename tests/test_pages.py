@@ -140,7 +140,7 @@ def test_generated_pages_are_current():
     folder = ROOT / "docs" / "reference"
     on_disk = {path: (folder / path).read_text(encoding="utf-8") for path in generated}
     assert on_disk == generated
-    assert "environments/retarget-v0.md" in generated and "scenario/sensors.md" in generated
+    assert "environments/retarget-v1.md" in generated and "scenario/sensors.md" in generated
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)

@@ -88,15 +88,19 @@ def checked_bool(field: str, value: Any) -> bool:
 
 
 def checked_weights(weights: Any, weights_class: type[Weights]) -> Weights | None:
-    """Check that reward weights are None or of a `weights_class`, and return them.
+    """Return reward weights that are of a `weights_class`, None, "dense" or "sparse".
 
-    Otherwise an `InputError` is raised.
+    "dense" gives the default weights of the class, "sparse" those of its method `sparse`. Otherwise
+    an `InputError` is raised.
     """
+    if isinstance(weights, str) and weights in ("dense", "sparse"):
+        return weights_class() if weights == "dense" else weights_class.sparse()
     if not isinstance(weights, weights_class | None):
         raise InputError(
             "weights",
             weights,
-            f"must be a {weights_class.__module__}.{weights_class.__name__}, or None",
+            f"must be 'dense', 'sparse', a {weights_class.__module__}.{weights_class.__name__} or "
+            "None",
         )
     return weights
 

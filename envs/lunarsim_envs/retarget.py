@@ -1,4 +1,4 @@
-"""Environment ``lunarsim/Retarget-v0``: choose the landing site once per second."""
+"""Environment ``lunarsim/Retarget-v1``: choose the landing site once per second."""
 
 from __future__ import annotations
 
@@ -36,8 +36,6 @@ from lunarsim_envs.sites.perception import FULL_SIMULATION, PERCEPTIONS, create_
 from lunarsim_envs.sites.perception_scenarios import with_perception
 
 FloatArray = NDArray[np.float32]
-# Failure causes of a flight that reached the time limit.
-LATE = ("time-limit",)
 
 
 def default_scenario() -> Scenario:
@@ -54,7 +52,7 @@ def default_scenario() -> Scenario:
 def retarget_scenario(
     source: Scenario | str | Path | None, changes: Mapping[str, Any] | None
 ) -> Scenario:
-    """Load the scenario of a ``Retarget-v0`` environment and apply changed values.
+    """Load the scenario of a ``Retarget-v1`` environment and apply changed values.
 
     `source` is a scenario, a path or a name; None selects `default_scenario`. `changes` has new
     values by scenario key.
@@ -154,8 +152,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     - At every step and at `reset`: ``time``, s since the start, and ``action_mask``.
     - At every step: ``reward_terms``, ``cost``, and ``time_scale_refused`` if the action has a
       ``time_scale``.
-    - At the end of an episode: ``safe``, ``failure_causes`` and ``propellant_kg`` used since the
-      start. In a vector environment, ``failure_causes`` has one bit for each limit in
+    - At the end of an episode: ``safe``, ``failure_causes``, ``propellant_kg`` used since the
+      start, and ``score``, the sum of the rewards without shaping. In a vector environment, ``failure_causes`` has one bit for each limit in
       `lunarsim.core.touchdown.CAUSES`.
 
     ``env.unwrapped.action_masks()`` returns the mask as booleans.
@@ -164,7 +162,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
 
     The reward is the sum of the terms in ``info["reward_terms"]``:
 
-    - ``touchdown``: +1 for a safe landing, -1 for any other outcome except the time limit.
+    - ``touchdown``: +1 for a safe landing, -1 for any other outcome.
     - ``propellant``: minus the propellant used since the last decision, as a fraction of a full
       tank (``vehicle.propellant_mass_kg``). Propellant used before the first decision is not
       charged.
@@ -173,14 +171,13 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
       tilt, and slope or roughness under the pads; zero weight by default.
     - ``information``: reward for map information gained since the last decision; zero weight by
       default.
-    - ``shaping``: discount times p_safe of the current site after the step, minus p_safe before it;
-      zero weight by default. If the learner uses the same discount, the discounted sum over an
-      episode is minus p_safe at the first decision, whatever the agent does. Shaping therefore does
-      not change which policy is optimal.
+    - ``shaping``: p_safe of the current site after the step, minus p_safe before it, with 0 after
+      the end; zero weight by default. The sum over an episode is minus p_safe at the first
+      decision, whatever the agent does.
 
-    Apart from shaping, every crash returns less than any safe landing. Weights that violate this
-    are refused. ``info["cost"]``, for constrained methods, is 1 if an episode terminates without a
-    safe landing, and 0 otherwise.
+    The score, without shaping, is higher for every safe landing than for any other outcome. Weights
+    that violate this are refused. ``info["cost"]``, for constrained methods, is 1 if an episode
+    ends without a safe landing, and 0 otherwise.
 
     ## Starting State
 
@@ -196,10 +193,9 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
 
     ## Episode End
 
-    The episode terminates when the flight ends by touchdown or off the map. The last decision is at
-    50 m; the step after it flies to the touchdown. The episode is truncated at the time limit of
-    the scenario; the flight is then neither safe nor a crash. A flight that ends before the first
-    decision ends with the first step, whatever its action.
+    The episode terminates when the flight ends by touchdown, off the map or at the time limit of
+    the scenario. The last decision is at 50 m; the step after it flies to the touchdown. A flight
+    that ends before the first decision ends with the first step, whatever its action.
 
     ## Arguments
 
@@ -219,7 +215,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
       the defaults: train with another ``world_seed`` to evaluate on held-out worlds.
     - ``covers``: additional rock covers for ``reset(options={"cover": ...})``. The pool has
       ``worlds`` worlds for each cover.
-    - ``weights``: `lunarsim_envs.rewards.RewardWeights`. Default: the table [site_reward] of the
+    - ``weights``: `lunarsim_envs.rewards.RewardWeights`, ``"dense"`` (default weights) or
+      ``"sparse"`` (1 for a safe landing, otherwise 0). Default: the table [site_reward] of the
       scenario.
     - ``render_mode``: ``"rgb_array"`` returns a frame per decision; ``"rgb_array_list"`` returns
       frames every 0.5 s since the last call, down to touchdown (not with kernels); ``"human"``
@@ -234,7 +231,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
 
     ## Version History
 
-    - v0: first version.
+    - v1: first version.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -245,7 +242,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     def __init__(
         self,
         scenario: Scenario | str | Path | None = None,
-        weights: RewardWeights | None = None,
+        weights: RewardWeights | str | None = None,
         render_mode: str | None = None,
         *,
         perception: str = "onboard",
@@ -359,12 +356,9 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
             flight.decide(site, self._after_cycle, time_scale)
         outcome = flight.outcome
         self._over = outcome is not None
-        # At the time limit, the outcome of the flight is unknown.
-        late = outcome is not None and outcome[1] == LATE
-        ended = self._over and not late
-        terms = self._terms(invalid, None if late else outcome)
+        terms = self._terms(invalid, outcome)
         info = self._info() | {"reward_terms": terms}
-        info["cost"] = float(outcome is not None and ended and not outcome[0])
+        info["cost"] = float(outcome is not None and not outcome[0])
         if self.actions.has_time_scale:
             info["time_scale_refused"] = (
                 bool(decisions.factor_ignored[0]) or flight.time_scale_refused
@@ -372,7 +366,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         reward = float(sum_terms(terms))
         self._last = (row, reward, time_scale)
         self._take_frame()
-        return self._encode(), reward, ended, late, info
+        return self._encode(), reward, self._over, False, info
 
     def reward_inputs(self) -> tuple[Any, ...]:
         """Return the arguments of `SiteRewards.begin` after the mask.
@@ -389,7 +383,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         """Return the reward terms of the last decision by name.
 
         `invalid`: the chosen site was not available. `outcome`: whether the landing was safe, and
-        the failure causes; None while flying and at the time limit.
+        the failure causes; None while flying.
         """
         over, safe = outcome is not None, outcome is not None and outcome[0]
         touchdown_ratios = self.flight.touchdown_ratios if over else np.full((1, 3), np.nan)
@@ -476,6 +470,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         if outcome is not None:
             info["safe"], info["failure_causes"] = outcome
             info["propellant_kg"] = self._wet_mass - flight.mass
+            info["score"] = float(self.rewards.score[0])
         return info
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Vector environment of ``lunarsim/Retarget-v0``, flown by compiled kernels."""
+"""Vector environment of ``lunarsim/Retarget-v1``, flown by compiled kernels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lunarsim_envs.arguments import (
     checked_options,
     checked_weights,
 )
-from lunarsim_envs.descent.batch import FLYING, LATE
+from lunarsim_envs.descent.batch import FLYING
 from lunarsim_envs.descent.options import apply_options
 from lunarsim_envs.resets import check_all_reset, lane_seeds, reset_mask
 from lunarsim_envs.retarget import retarget_scenario
@@ -176,13 +176,11 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         decisions = self.actions.decisions(chosen, self.inputs)
         lanes.decide(decisions.site, moved, decisions.time_scale)
         self._shrink(lanes.mapped)
-        over = moved & (lanes.ended != FLYING)
-        late = over & (lanes.ended == LATE)
-        terminated = over & ~late
+        terminated = moved & (lanes.ended != FLYING)
         terms = self._terms(moved, terminated, decisions.invalid)
         rewards = sum_terms(terms)
-        info = self._step_info(terms, moved, over, late)
-        truncated = late | self._limit.reached(moved)
+        info = self._step_info(terms, moved, terminated)
+        truncated = self._limit.reached(moved)
         over = terminated | truncated
         self._open &= ~over
         if self.actions.has_time_scale:
@@ -210,10 +208,10 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         )
 
     def _step_info(
-        self, terms: dict[str, Any], moved: BoolArray, over: BoolArray, late: BoolArray
+        self, terms: dict[str, Any], moved: BoolArray, over: BoolArray
     ) -> dict[str, Any]:
         info: dict[str, Any] = {"reward_terms": terms, "_reward_terms": moved}
-        info |= {"cost": np.where(over & ~late & ~self.lanes.safe, 1.0, 0.0), "_cost": moved}
+        info |= {"cost": np.where(over & ~self.lanes.safe, 1.0, 0.0), "_cost": moved}
         if over.any():
             info |= {"safe": self.lanes.safe & over, "_safe": over}
             info |= {
@@ -224,4 +222,5 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                 "propellant_kg": np.where(over, self.lanes.propellant_used, 0.0),
                 "_propellant_kg": over,
             }
+            info |= {"score": np.where(over, self.rewards.score, 0.0), "_score": over}
         return info

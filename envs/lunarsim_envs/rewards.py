@@ -1,9 +1,9 @@
-"""Compute the rewards of ``Retarget-v0`` as a sum of named terms."""
+"""Compute the rewards of ``Retarget-v1`` as a sum of named terms."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,12 @@ MAX_PENALISED_CHOICES = 10
 
 @dataclass(frozen=True)
 class RewardWeights(SiteReward):
-    """Weights of the reward terms of ``Retarget-v0``, as in the table [site_reward]."""
+    """Weights of the reward terms of ``Retarget-v1``, as in the table [site_reward]."""
+
+    @classmethod
+    def sparse(cls) -> RewardWeights:
+        """Return the weights of the sparse reward: 1 for a safe landing, otherwise 0."""
+        return cls(1.0, *(0.0 for _ in fields(cls)[1:]))
 
     @classmethod
     def of(cls, scenario: Scenario) -> RewardWeights:
@@ -111,11 +116,11 @@ def sum_terms(terms: Mapping[str, Any]) -> Any:
 class SiteRewards:
     """Compute the reward terms of every site decision of n flights.
 
-    All terms except ``shaping`` are the objective. ``shaping`` is the discount factor times the
-    potential after the decision minus the potential before it. The potential is 0 after a flight
-    has ended; the discounted sum is therefore minus the potential of the first decision, whatever
-    the agent chooses (Ng, Harada and Russell, "Policy invariance under reward transformations",
-    ICML 1999).
+    All terms except ``shaping`` are the objective; their sum over an episode is the score.
+    ``shaping`` is the potential after the decision minus the potential before it. The potential is
+    0 after a flight has ended; the sum over an episode is therefore minus the potential of the
+    first decision, whatever the agent chooses (Ng, Harada and Russell, "Policy invariance under
+    reward transformations", ICML 1999).
 
     Parameters
     ----------
@@ -125,6 +130,11 @@ class SiteRewards:
         Propellant capacity, kg.
     count
         Number of flights n.
+
+    Attributes
+    ----------
+    score
+        Sum of the terms without shaping since the first decision of each flight (n,).
     """
 
     names = (
@@ -134,7 +144,7 @@ class SiteRewards:
     def __init__(self, weights: RewardWeights, propellant: float, count: int) -> None:
         weights.check()
         self.weights, self._tanks = weights, propellant
-        self._mass, self._potential = np.zeros(count), np.zeros(count)
+        self._mass, self._potential, self.score = np.zeros((3, count))
         self._known, self._invalid = np.zeros(count), np.zeros(count, np.int64)
 
     def _map_information(
@@ -178,6 +188,7 @@ class SiteRewards:
         self._mass[mask] = mass[mask]
         self._potential[mask] = self._site_potential(p_here)[mask]
         self._invalid[mask] = 0
+        self.score[mask] = 0.0
         self._known = self._map_information(p, seen, mask)
 
     def terms(
@@ -225,8 +236,9 @@ class SiteRewards:
             self._known = known
         if w.shaping != 0.0:
             after = np.where(over, 0.0, self._site_potential(p_here))
-            terms["shaping"] = np.where(moved, w.discount * after - self._potential, 0.0)
+            terms["shaping"] = np.where(moved, after - self._potential, 0.0)
             self._potential = np.where(moved, after, self._potential)
+        self.score += sum_terms({name: terms[name] for name in self.names[:-1]})
         self._invalid += counts
         self._mass = np.where(moved, mass, self._mass)
         return terms

@@ -9,7 +9,7 @@ from lunarsim.parts.quantity import check_bounds, quantity
 
 @dataclass(frozen=True)
 class SiteReward:
-    """Weights of the reward in the environment ``Retarget-v0`` (site selection).
+    """Weights of the reward in the environment ``Retarget-v1`` (site selection).
 
     Attributes
     ----------
@@ -27,8 +27,6 @@ class SiteReward:
         removes.
     shaping
         Weight of the shaping potential, which is p_safe of the current site; 0 disables it.
-    discount
-        Discount factor of the learner. With another value, shaping may change the best policy.
     """
 
     safe: float = quantity(1.0, help="Reward for a safe landing")
@@ -71,12 +69,6 @@ class SiteReward:
         ge=0,
         help="Weight of reward shaping by p_safe of the current site; 0: no shaping",
     )
-    discount: float = quantity(
-        0.99,
-        gt=0,
-        le=1,
-        help="Discount factor in the reward shaping; it must be that of the learning algorithm",
-    )
 
     def __post_init__(self) -> None:
         check_bounds(self, "weights")
@@ -84,60 +76,56 @@ class SiteReward:
 
 @dataclass(frozen=True)
 class DescentReward:
-    """Weights of the reward in the environments ``Guidance-v0`` and ``Control-v0``.
+    """Weights of the reward in the environments ``Guidance-v1`` and ``Control-v1``.
 
     Attributes
     ----------
     safe, crash
-        Reward for a touchdown within all limits, and for any other outcome except the time limit.
+        Reward for a touchdown within all limits, and for any other touchdown.
+    no_landing
+        Reward for a flight that ends without touchdown: at the time limit, far away or below the
+        map.
     propellant
         Penalty per kilogram of propellant.
     miss
         Penalty per metre between a safe touchdown and the target, up to 50 m.
     severity
-        Maximum penalty for a crash, half of it for distance and half for speed. The maximum applies
-        at the distance and speed of the planned start and beyond; closer and slower crashes cost
-        less.
+        Maximum penalty for the distance of a crash from the target. It applies at the distance of
+        the planned start and beyond; closer crashes cost proportionally less.
     excess
-        Penalty for exceeding a limit by a factor of e, summed over speeds, tilt and rate. A crash
-        without touchdown costs the maximum.
+        Penalty for exceeding a limit by a factor of e, summed over speeds, tilt and rate.
     shaping
         Weight of the shaping potential; 0 disables it.
-    discount
-        Discount factor of the learner. With another value, shaping may change the best policy.
     """
 
-    safe: float = quantity(1.0, help="Reward for a touchdown within all limits")
-    crash: float = quantity(
-        -1.0, help="Reward for every outcome except a safe touchdown and reaching the time limit"
+    safe: float = quantity(10.0, help="Reward for a touchdown within all limits")
+    crash: float = quantity(-4.0, help="Reward for a touchdown that violates a limit")
+    no_landing: float = quantity(
+        -15.0,
+        help="Reward for a flight that ends without touchdown: at the time limit, far away or "
+        "below the map",
     )
-    propellant: float = quantity(0.001, ge=0, help="Penalty per kilogram of propellant used")
+    propellant: float = quantity(0.002, ge=0, help="Penalty per kilogram of propellant used")
     miss: float = quantity(
-        0.01,
+        0.1,
         ge=0,
         help="Penalty per metre between a safe touchdown and the target; more than 50 m counts as "
         "50 m",
     )
     severity: float = quantity(
-        0.0,
+        6.0,
         ge=0,
-        help="Maximum additional penalty for a crash; smaller for a crash that is slower and "
-        "nearer to the target",
+        help="Additional penalty for a crash as far from the target as the planned start or "
+        "farther; proportionally smaller for a nearer crash",
     )
     excess: float = quantity(
-        0.0,
+        0.2,
         ge=0,
         help="Additional penalty for a crash: this weight times ln(value / limit), at most 3, "
         "summed over the exceeded touchdown limits of speed, tilt and angular rate",
     )
     shaping: float = quantity(
         1.0, ge=0, help="Weight of potential-based reward shaping; 0: no shaping"
-    )
-    discount: float = quantity(
-        0.99,
-        gt=0,
-        le=1,
-        help="Discount factor in the reward shaping; it must be that of the learning algorithm",
     )
 
     def __post_init__(self) -> None:

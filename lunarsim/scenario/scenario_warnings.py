@@ -173,7 +173,7 @@ def _randomization_warnings(scenario: Scenario) -> Iterator[str]:
         yield (
             "domain_randomization: only environments accept this table; `fly`, `compare` and "
             "campaigns refuse "
-            "it. Use `lunarsim evaluate Guidance-v0 --scenario FILE --agent apollo`."
+            "it. Use `lunarsim evaluate Guidance-v1 --scenario FILE --agent apollo`."
         )
 
 

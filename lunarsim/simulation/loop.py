@@ -124,8 +124,8 @@ class Simulation:
             raise InputError(
                 "domain_randomization",
                 "given",
-                "must be omitted, because only Guidance-v0 and Control-v0 randomise the lander",
-                "Use: lunarsim evaluate Guidance-v0 --scenario FILE --agent apollo.",
+                "must be omitted, because only Guidance-v1 and Control-v1 randomise the lander",
+                "Use: lunarsim evaluate Guidance-v1 --scenario FILE --agent apollo.",
                 show_value=False,
             )
         self.scenario = scenario

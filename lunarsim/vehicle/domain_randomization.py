@@ -20,7 +20,7 @@ RANDOM_QUANTITIES = (
 
 @dataclass(frozen=True)
 class DomainRandomization:
-    """Settings of the domain randomization of ``Guidance-v0`` and ``Control-v0``.
+    """Settings of the domain randomization of ``Guidance-v1`` and ``Control-v1``.
 
     Every flight has new random parameters.
     Vehicle parameters are uniform within plus or minus the half range; noise is normal.

@@ -3,7 +3,7 @@
 An ONNX file contains no code, so it can be flown without trusting its source.
 
 python scenarios/learning/export_onnx.py out/ppo/checkpoint/model.zip --out out/ppo.onnx
-lunarsim evaluate Guidance-v0 --agent out/ppo.onnx
+lunarsim evaluate Guidance-v1 --agent out/ppo.onnx
 
 The input file is a pickle, which can execute any code: export only agents that you trained. The
 script needs the extras `rl` and `onnx`: pip install ".[rl,onnx]".

@@ -78,7 +78,7 @@ def main() -> int:
     parser.add_argument(
         "--scenario",
         help="scenario: TOML file, or a name from `lunarsim scenario list` (default: scenario of "
-        "Retarget-v0)",
+        "Retarget-v1)",
     )
     parser.add_argument(
         "--flights", type=int, default=10, help="number of flights for each value of the rock cover"

@@ -1,4 +1,4 @@
-"""Fly an agent on `Retarget-v0` for the studies that compare agents."""
+"""Fly an agent on `Retarget-v1` for the studies that compare agents."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ class AgentFlights(NamedTuple):
 def fly_agent(
     agent: str, scenario: Scenario, perception: str, flights: int, worlds: int, seed: int
 ) -> AgentFlights:
-    """Fly an agent in Retarget-v0; return landing outcome and propellant per flight.
+    """Fly an agent in Retarget-v1; return landing outcome and propellant per flight.
 
     `perception` is the source of the hazard maps, `worlds` the number of terrains and `seed` their
     root seed. Flight i has the same start for all agents, and for all perceptions that are flown by
     kernels.
     """
     env = gymnasium.make(
-        "lunarsim/Retarget-v0", scenario=scenario, perception=perception, worlds=worlds,
+        "lunarsim/Retarget-v1", scenario=scenario, perception=perception, worlds=worlds,
         world_seed=seed, observation=["to_go"],
     )  # fmt: skip
     pilot = agent_of(agent, env)

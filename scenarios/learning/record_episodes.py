@@ -1,7 +1,7 @@
 r"""Record episodes of an environment, flown by an agent, as a Minari data set.
 
-    python scenarios/learning/record_episodes.py Guidance-v0 --agent apollo --out build/apollo
-    python scenarios/learning/record_episodes.py Retarget-v0 --perception surrogate \
+    python scenarios/learning/record_episodes.py Guidance-v1 --agent apollo --out build/apollo
+    python scenarios/learning/record_episodes.py Retarget-v1 --perception surrogate \
         --agent nearest-safe --episodes 1000 --out build/nearest-safe
 
 Episode i is the same as that of ``lunarsim evaluate`` with the same seed. The infos hold the cost
@@ -29,7 +29,7 @@ from lunarsim_envs.agents.registry import agent_of, check
 from lunarsim_envs.evaluation.episodes import EvaluationStudy
 from lunarsim_envs.evaluation.request import evaluation_study
 
-ENVS = ("Guidance-v0", "Control-v0", "Retarget-v0")
+ENVS = ("Guidance-v1", "Control-v1", "Retarget-v1")
 
 
 def stack_items(items: list[Any]) -> Any:
@@ -112,7 +112,7 @@ def record_dataset(study: EvaluationStudy, agent: str, episodes: int, folder: Pa
             safe += metadata["safe"]
         storage.update_metadata(
             {
-                "dataset_id": f"lunarsim/{folder.name}-v0", "algorithm_name": agent,
+                "dataset_id": f"lunarsim/{folder.name}-v1", "algorithm_name": agent,
                 "description": f"Episodes of {study.env}", "author": {"lunarsim"},
                 "lunarsim_version": __version__, "root_seed": study.seed,
                 "minari_version": importlib.metadata.version("minari"),
@@ -155,7 +155,7 @@ def record_dataset(study: EvaluationStudy, agent: str, episodes: int, folder: Pa
     help="Set a scenario key, for example rocks.cover=0.1. Repeat the option for several keys.",
 )
 @click.option(
-    "--perception", help="Source of the hazard map in Retarget-v0, as for `lunarsim evaluate`."
+    "--perception", help="Source of the hazard map in Retarget-v1, as for `lunarsim evaluate`."
 )
 @click.option(
     "--observation",
@@ -168,7 +168,7 @@ def record_dataset(study: EvaluationStudy, agent: str, episodes: int, folder: Pa
     "--action",
     metavar="PART",
     multiple=True,
-    help="Component of the action in Retarget-v0; repeat the option for several components "
+    help="Component of the action in Retarget-v1; repeat the option for several components "
     "(default: site).",
 )
 @click.option(

@@ -1,7 +1,7 @@
 """Compute reference scores of lunarsim's agents in every environment.
 
     python scenarios/learning/reference_scores.py
-    python scenarios/learning/reference_scores.py --episodes 20 --only Guidance-v0
+    python scenarios/learning/reference_scores.py --episodes 20 --only Guidance-v1
 
 All agents of an environment fly the same episodes; the score is the return without shaping terms.
 `optimal` is the guidance law that re-solves the minimum-propellant problem in flight. With
@@ -28,10 +28,10 @@ from lunarsim_envs.evaluation.results import AgentMetrics, agent_metrics
 _WORLDS = {"worlds": 24, "world_seed": 7001, "observation": ["to_go"]}
 POLICIES = ("no-divert", "safest", "nearest-safe", "fuel-aware", "few-sites")
 AGENTS = {
-    "Guidance-v0": ("zero", "random", "hover", "polynomial", "apollo", "optimal", "ppo"),
-    "Control-v0": ("zero", "random", "hover"),
-    "Retarget-v0, surrogate": ("random", *POLICIES),
-    "Retarget-v0, truth": ("random", *POLICIES),
+    "Guidance-v1": ("zero", "random", "hover", "polynomial", "apollo", "optimal", "ppo"),
+    "Control-v1": ("zero", "random", "hover"),
+    "Retarget-v1, surrogate": ("random", *POLICIES),
+    "Retarget-v1, truth": ("random", *POLICIES),
 }
 
 

@@ -19,7 +19,7 @@ from lunarsim_envs.video import save_video
 
 
 def random_agent(observation: dict, info: dict, rng: np.random.Generator) -> int:
-    """Select a random available action of Retarget-v0."""
+    """Select a random available action of Retarget-v1."""
     return int(rng.choice(np.flatnonzero(info["action_mask"])))
 
 
@@ -68,7 +68,7 @@ def main(episodes: int, seed: int, scenario: str | None, video: Path | None) -> 
             video.parent.mkdir(parents=True, exist_ok=True)
             check_output("--video", video, ".gif" if video.suffix.lower() == ".gif" else ".mp4")
         env = gymnasium.make(
-            "lunarsim_envs:lunarsim/Retarget-v0", scenario=scenario, render_mode=mode
+            "lunarsim_envs:lunarsim/Retarget-v1", scenario=scenario, render_mode=mode
         )
     except InputError as error:
         raise click.UsageError(str(error)) from None

@@ -1,8 +1,8 @@
-"""Train an agent on `Guidance-v0` by proximal policy optimisation.
+"""Train an agent on `Guidance-v1` by proximal policy optimisation.
 
 python scenarios/learning/train_guidance.py --out out/ppo
 python scenarios/learning/train_guidance.py --out out/ppo     # resume after an interruption
-lunarsim evaluate Guidance-v0 --agent out/ppo/agent.npz --agent apollo
+lunarsim evaluate Guidance-v1 --agent out/ppo/agent.npz --agent apollo
 
 It needs the extra `rl`: pip install ".[rl]", with PyTorch for processors without CUDA from
 https://download.pytorch.org/whl/cpu. Output files: settings.json, agent.npz (flown without
@@ -43,7 +43,7 @@ def compare(out: Path, settings: PpoSettings, episodes: int, console: Console) -
             "velocity_sigma_m_s": settings.velocity_sigma,
         }
     )
-    study = EvaluationStudy("lunarsim_envs:lunarsim/Guidance-v0", scenario, {}, seed=2)
+    study = EvaluationStudy("lunarsim_envs:lunarsim/Guidance-v1", scenario, {}, seed=2)
     agents = (str(out / "agent.npz"), *REFERENCE_AGENTS)
     rows = add_on_target(fly(study, agents, episodes, jobs=1), 10.0)
     console.print(agents_table(agent_metrics(rows, study.seed), 10.0))
@@ -69,7 +69,7 @@ show_default=True,
 @click.option("--episodes", type=click.IntRange(min=1), default=200, show_default=True,
               help="Number of flights per agent in the final comparison.")  # fmt: skip
 def main(out: Path, steps: int, seed: int, evaluation_interval: int, episodes: int) -> None:
-    """Train an agent of Guidance-v0 and compare it with reference agents."""
+    """Train an agent of Guidance-v1 and compare it with reference agents."""
     console = plain_console(150, soft_wrap=True)
     try:
         from lunarsim_envs.training.curve import draw_curve

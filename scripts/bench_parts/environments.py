@@ -75,11 +75,11 @@ def _single(name: str, clock: Callable[[], float] = time.perf_counter, **setting
 
 
 def _retarget() -> None:
-    """Print decisions per second of Retarget-v0 and time per map, by perception.
+    """Print decisions per second of Retarget-v1 and time per map, by perception.
 
     One thread and processor time, so that other work on the machine has no effect.
     """
-    name, threads = "lunarsim/Retarget-v0", numba.get_num_threads()
+    name, threads = "lunarsim/Retarget-v1", numba.get_num_threads()
     numba.set_num_threads(1)
     coarse = {"mappers.dem.posting_m": 0.4}
     for words, wanted, settings in (
@@ -127,9 +127,9 @@ def _map_time(env: gymnasium.Env[Any, Any]) -> str:
 
 
 def _retarget_batch(count: int) -> float:
-    """Measure decisions per second of `count` parallel Retarget-v0, with resets."""
+    """Measure decisions per second of `count` parallel Retarget-v1, with resets."""
     vector = gymnasium.make_vec(
-        "lunarsim/Retarget-v0", num_envs=count, vectorization_mode="vector_entry_point", worlds=8
+        "lunarsim/Retarget-v1", num_envs=count, vectorization_mode="vector_entry_point", worlds=8
     )
     vector.reset(seed=1)
     keep = np.zeros(count, int)
@@ -163,7 +163,7 @@ def envs() -> None:
     lander, rocket = _peer("LunarLander-v3"), _peer("PyFlyt/Rocket-Landing-v4")
     print(f"  LunarLander-v3 {lander:,.0f} steps/s, PyFlyt/Rocket-Landing-v4 {rocket:,.0f} steps/s")
     for level, rate, wanted in (("Guidance", 5.0, 30), ("Control", 50.0, 60)):
-        name = f"lunarsim/{level}-v0"
+        name = f"lunarsim/{level}-v1"
         one = _single(name)
         print(
             f"  {name}, one: {one:,.0f} steps/s, {one / rocket:.1f} of Rocket-Landing"

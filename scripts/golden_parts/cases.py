@@ -128,16 +128,16 @@ def _flat(observation: Any) -> Any:
 
 # The first two compile most of the kernels.
 CASES: dict[str, Callable[[], Digests]] = {
-    "steps of Retarget-v0, batch": partial(steps, "lunarsim/Retarget-v0", 200, 8),
+    "steps of Retarget-v1, batch": partial(steps, "lunarsim/Retarget-v1", 200, 8),
     "fly hirise": partial(fly, "hirise"),
-    "steps of Guidance-v0": partial(steps, "lunarsim/Guidance-v0", 1000),
-    "steps of Guidance-v0, batch": partial(steps, "lunarsim/Guidance-v0", 1000, 8),
-    "steps of Control-v0": partial(steps, "lunarsim/Control-v0", 1000),
-    "steps of Control-v0, batch": partial(steps, "lunarsim/Control-v0", 1000, 8),
+    "steps of Guidance-v1": partial(steps, "lunarsim/Guidance-v1", 1000),
+    "steps of Guidance-v1, batch": partial(steps, "lunarsim/Guidance-v1", 1000, 8),
+    "steps of Control-v1": partial(steps, "lunarsim/Control-v1", 1000),
+    "steps of Control-v1, batch": partial(steps, "lunarsim/Control-v1", 1000, 8),
     "fly golombek": partial(fly, "golombek"),
     "fly hard": partial(fly, "hard"),
     "optimal path": partial(fly, "golombek", "--guidance", "optimal", "--policy", "no-divert"),
-    "steps of Retarget-v0": partial(steps, "lunarsim/Retarget-v0", 40),
+    "steps of Retarget-v1": partial(steps, "lunarsim/Retarget-v1", 40),
     "true maps of golombek": partial(true_maps, "golombek"),
     "true maps of hirise": partial(true_maps, "hirise"),
 }

@@ -56,7 +56,7 @@ def test_zero_and_hover_are_the_actions_of_their_names(env):
     thrust = control.descents.actions.physical(agent_of("hover", control).act(None, {}))[0]
     assert thrust == pytest.approx([1500.0 * 1.622, 0.0, 0.0, 0.0], abs=1e-3)
     assert agent_of("zero", RetargetEnv()).act(None, {}) == 0
-    with pytest.raises(InputError, match="needs Guidance-v0 or Control-v0"):
+    with pytest.raises(InputError, match="needs Guidance-v1 or Control-v1"):
         agent_of("hover", RetargetEnv())
 
 
@@ -146,7 +146,7 @@ def network(parts=("position", "velocity", "attitude", "rate", "thrust", "propel
     biases = [rng.normal(size=shape[0]).astype(np.float32) for shape in shapes]
     held = {
         "far": np.full(15, 50.0, np.float32), "near": np.full(15, 2.0, np.float32),
-        "weights": tuple(layers), "biases": tuple(biases), "level": "Guidance-v0",
+        "weights": tuple(layers), "biases": tuple(biases), "level": "Guidance-v1",
         "parts": tuple(parts), "rate": 5.0,
     }  # fmt: skip
     return Network(**(held | changes))
@@ -179,7 +179,7 @@ def test_a_network_is_its_layers_and_comes_back_from_its_file(env, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"level": "Control-v0"}, "needs Control-v0"), ({"rate": 10.0}, "10 actions per second"),
+        ({"level": "Control-v1"}, "needs Control-v1"), ({"rate": 10.0}, "10 actions per second"),
         ({"parts": ("position",)}, "observation components position"),
         ({"weights": network().weights[:2], "biases": network().biases[:2]}, "actions with 4"),
         ({"far": np.ones(14, np.float32)}, "scales are missing"),

@@ -172,9 +172,9 @@ def test_lanes_that_fly_are_as_many_environments(mode):
 
 
 LIMITED = {
-    "Retarget-v0": (SITE, (2,), 4),
-    "Guidance-v0": (DESCENT | {"covers": [], "worlds": 1}, (3,), 9),
-    "Control-v0": (DESCENT | {"covers": [], "worlds": 1}, (4,), 9),
+    "Retarget-v1": (SITE, (2,), 4),
+    "Guidance-v1": (DESCENT | {"covers": [], "worlds": 1}, (3,), 9),
+    "Control-v1": (DESCENT | {"covers": [], "worlds": 1}, (4,), 9),
 }
 
 
@@ -189,14 +189,14 @@ def test_all_batches_are_tried_with_a_step_limit():
 
 @pytest.mark.parametrize(
     ("name", "mode"),
-    [*product(("Retarget-v0", "Guidance-v0"), MODES), ("Control-v0", "SameStep")],
+    [*product(("Retarget-v1", "Guidance-v1"), MODES), ("Control-v1", "SameStep")],
 )
 def test_lanes_with_a_step_limit_are_environments_within_gymnasiums_time_limit(name, mode):
-    """Of Guidance-v0, flights from low starts end by themselves; others at the limit."""
+    """Of Guidance-v1, flights from low starts end by themselves; others at the limit."""
     settings, shape, limit = LIMITED[name]
 
     def act(rng):
-        if name == "Retarget-v0":
+        if name == "Retarget-v1":
             return rng.integers(0, 3, (LANES, *shape))
         return rng.uniform(-0.1, 0.0, (LANES, *shape)).astype(np.float32)
 
@@ -209,7 +209,7 @@ def test_lanes_with_a_step_limit_are_environments_within_gymnasiums_time_limit(n
     low = {"position_m": [0.0, 0.0, 20.0], "velocity_m_s": [0.0, 0.0, -30.0],
            "position_sigma_m": 0.0}  # fmt: skip
     ended, late = flown(Pair(many, ones, mode, np.random.default_rng(3)), [low, {}], act, 60)
-    assert late > 5 and (name != "Guidance-v0" or ended - late > 5)
+    assert late > 5 and (name != "Guidance-v1" or ended - late > 5)
 
 
 @pytest.mark.parametrize("wrong", [0, -2, 1.5, True, "7"])

@@ -1,4 +1,4 @@
-"""`Guidance-v0` and `Control-v0`, one at a time and in batches."""
+"""`Guidance-v1` and `Control-v1`, one at a time and in batches."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def test_all_ways_to_reset_fly_the_same_flights():
 
 def test_a_plain_law_lands_safe_from_the_default_start():
     vector = gymnasium.make_vec(
-        "lunarsim_envs:lunarsim/Guidance-v0", num_envs=64, vectorization_mode="vector_entry_point"
+        "lunarsim_envs:lunarsim/Guidance-v1", num_envs=64, vectorization_mode="vector_entry_point"
     )
     descents = vector.unwrapped.descents
     agent = PolynomialGuidance(descents)
@@ -149,7 +149,7 @@ def test_a_plain_law_lands_safe_from_the_default_start():
 
 
 def test_an_agent_for_other_actions_or_observations_is_refused():
-    with pytest.raises(InputError, match="Guidance-v0"):
+    with pytest.raises(InputError, match="Guidance-v1"):
         PolynomialGuidance(ControlEnv(changes=LOW).descents)
     with pytest.raises(InputError, match="begin with 'position' and 'velocity'"):
         PolynomialGuidance(GuidanceEnv(changes=LOW, observation=["rate", "position"]).descents)

@@ -28,7 +28,7 @@ PARTLY = {"reset_mask": np.array([True, False])}
 
 
 def test_a_flight_that_is_down_before_its_first_decision_ends_with_the_first_step():
-    env = gymnasium.make("lunarsim_envs:lunarsim/Retarget-v0", observation=list(PARTS), **SITE)
+    env = gymnasium.make("lunarsim_envs:lunarsim/Retarget-v1", observation=list(PARTS), **SITE)
     first, _ = env.reset(seed=4, options=NEAR)
     assert env.observation_space.contains(first)
     env.reset(seed=3)
@@ -118,7 +118,7 @@ def test_a_site_that_is_not_to_be_had_is_not_flown_to():
 def test_a_copy_of_any_environment_goes_on_alike(copied):
     every = list(PARTS)
     for env, action in (
-        (gymnasium.make("lunarsim_envs:lunarsim/Retarget-v0", observation=every, **SITE), 1),
+        (gymnasium.make("lunarsim_envs:lunarsim/Retarget-v1", observation=every, **SITE), 1),
         (RetargetVectorEnv(2, observation=every, **SITE), np.array([1, 0])),
         (GuidanceVectorEnv(2, changes=LOW), np.zeros((2, 3), np.float32)),
     ):

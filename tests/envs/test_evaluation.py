@@ -139,7 +139,7 @@ def test_differences_are_of_the_same_episodes():
 def test_the_command_writes_what_it_prints(tmp_path, monkeypatch):
     told = []
     for name in ("one", "two"):
-        words = ["evaluate", "Guidance-v0", "--agent", "zero", "--agent", "polynomial"]
+        words = ["evaluate", "Guidance-v1", "--agent", "zero", "--agent", "polynomial"]
         for value in SETS:
             words += ["--set", value]
         words += ["--episodes", "4", "--jobs", "1", "--within", "30", "--out", str(tmp_path / name)]
@@ -155,7 +155,7 @@ def test_the_command_writes_what_it_prints(tmp_path, monkeypatch):
     one, two = ((tmp_path / name / "results.parquet").read_bytes() for name in ("one", "two"))
     assert one == two and told[0].replace("/one", "") == told[1].replace("/two", "")
     summary = json.loads((tmp_path / "one" / "summary.json").read_text())
-    assert summary["env"] == "lunarsim/Guidance-v0" and summary["within_m"] == 30.0
+    assert summary["env"] == "lunarsim/Guidance-v1" and summary["within_m"] == 30.0
     safe = sum(table["safe"].to_pylist()[4:])
     assert summary["agents"][1]["safe"] == {"count": safe, "total": 4}
     assert str(Proportion(safe, 4)) in told[0]
@@ -193,9 +193,9 @@ def test_a_scenario_is_required_if_an_environment_has_none():
 
 
 def test_agents_are_flown_on_the_perception_that_is_asked_for():
-    given = evaluation_study("lunarsim_envs:Retarget-v0", None, [], 1, perception="truth")
+    given = evaluation_study("lunarsim_envs:Retarget-v1", None, [], 1, perception="truth")
     assert given.arguments == {"perception": "truth"}
-    alone = evaluation_study("lunarsim_envs:Retarget-v0", None, [], 1)
+    alone = evaluation_study("lunarsim_envs:Retarget-v1", None, [], 1)
     assert alone.arguments == {} and alone.make().unwrapped.perception == "onboard"
     small = replace(given, scenario=SMALL, arguments=given.arguments | {"worlds": 1})
     assert small.make().unwrapped.perception == "truth"
@@ -203,12 +203,12 @@ def test_agents_are_flown_on_the_perception_that_is_asked_for():
 
 def test_agents_are_shown_the_parts_that_are_asked_for():
     given = evaluation_study(
-        "lunarsim_envs:Guidance-v0", None, [], 1, observation=["velocity", "rate"]
+        "lunarsim_envs:Guidance-v1", None, [], 1, observation=["velocity", "rate"]
     )
     assert given.make().observation_space.shape == (6,)
     with pytest.raises(InputError, match="does not apply to"):
         evaluation_study("tests/Wanted-v0", None, [], 1, observation=["velocity"])
-    words = ["evaluate", "Guidance-v0", "--agent", "apollo", "--episodes", "1", "--jobs", "1"]
+    words = ["evaluate", "Guidance-v1", "--agent", "apollo", "--episodes", "1", "--jobs", "1"]
     done = CliRunner().invoke(main, [*words, "--observation", "velocity"])
     assert done.exit_code == 2 and "observation component 'position'" in done.output
     done = CliRunner().invoke(main, [*words, "--observation", "velocty"])
@@ -216,7 +216,7 @@ def test_agents_are_shown_the_parts_that_are_asked_for():
 
 
 def test_one_episode_has_a_difference_without_an_interval():
-    words = ["evaluate", "Guidance-v0", "--agent", "zero", "--agent", "polynomial"]
+    words = ["evaluate", "Guidance-v1", "--agent", "zero", "--agent", "polynomial"]
     for value in SETS:
         words += ["--set", value]
     done = CliRunner().invoke(main, [*words, "--episodes", "1", "--jobs", "1"])
@@ -225,7 +225,7 @@ def test_one_episode_has_a_difference_without_an_interval():
 
 @pytest.mark.slow
 def test_any_number_of_processes_gives_the_same_rows():
-    given = evaluation_study("lunarsim_envs:Guidance-v0", None, SETS, 3)
+    given = evaluation_study("lunarsim_envs:Guidance-v1", None, SETS, 3)
     agents = ["random", "polynomial"]
     assert fly(given, agents, 15, jobs=2) == fly(given, agents, 15, jobs=1)
 

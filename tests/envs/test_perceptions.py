@@ -1,4 +1,4 @@
-"""Retarget-v0 on maps of shadows, of a quadtree and of both, drawn on board."""
+"""Retarget-v1 on maps of shadows, of a quadtree and of both, drawn on board."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lunarsim.scenario.shipped import found
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
 from lunarsim_envs.sites.perception_scenarios import MAPPER_OF, with_perception
 
-ID = "lunarsim_envs:lunarsim/Retarget-v0"
+ID = "lunarsim_envs:lunarsim/Retarget-v1"
 # A descent of some seconds with a small camera: one decision high up, one low down.
 LOW = Scenario.from_dict({
     "name": "low",

@@ -21,15 +21,15 @@ def parts(shown):
 @pytest.mark.parametrize(
     ("name", "lanes", "settings"),
     [
-        ("Guidance-v0", 500, {"changes": {"rocks.cover": 0.05}, "worlds": 4}),
-        ("Guidance-v0", 500, {"changes": {"domain_randomization.engine_failure": 0.5}}),
-        ("Control-v0", 500, {}),
-        ("Retarget-v0", 50, {"perception": "truth", "worlds": 8}),
+        ("Guidance-v1", 500, {"changes": {"rocks.cover": 0.05}, "worlds": 4}),
+        ("Guidance-v1", 500, {"changes": {"domain_randomization.engine_failure": 0.5}}),
+        ("Control-v1", 500, {}),
+        ("Retarget-v1", 50, {"perception": "truth", "worlds": 8}),
         (
-            "Retarget-v0", 50,
+            "Retarget-v1", 50,
             {"perception": "truth", "worlds": 8, "action": ("site", "time_scale")},
         ),
-        ("Retarget-v0", 50, {"perception": "surrogate", "worlds": 8, "scenario": "few_sites"}),
+        ("Retarget-v1", 50, {"perception": "surrogate", "worlds": 8, "scenario": "few_sites"}),
     ],
 )  # fmt: skip
 def test_a_thousand_random_episodes(name, lanes, settings):

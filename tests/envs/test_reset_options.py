@@ -13,7 +13,7 @@ from lunarsim_envs.retarget_vector import RetargetVectorEnv
 from tests.envs.site_scene import SMALL, made_up
 from tests.reference import descent as plain
 
-ID = "lunarsim_envs:lunarsim/Retarget-v0"
+ID = "lunarsim_envs:lunarsim/Retarget-v1"
 WIDE = {"target.scatter_m": [8.0, 8.0], "terrain.size_m": 90.0}
 ROCKY = {"covers": [0.1], "worlds": 2, "changes": WIDE | {"terrain.kind": "fractal"}}
 KERNELS = {

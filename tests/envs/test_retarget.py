@@ -20,7 +20,7 @@ from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.video import save_video
 from tests.worlds import SCENARIOS
 
-ID = "lunarsim_envs:lunarsim/Retarget-v0"
+ID = "lunarsim_envs:lunarsim/Retarget-v1"
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from tests.worlds import TINY_FLIGHT
 
 EVERY = RewardWeights(
     safe=4.0, unsafe=-3.0, propellant=0.7, invalid=0.06, speed=0.5, tilt=0.3, hazard=0.4,
-    information=0.9, shaping=0.8, discount=0.95,
+    information=0.9, shaping=0.8,
 )  # fmt: skip
 SETTINGS = {
     "scenario": SMALL, "worlds": 2, "world_seed": 5, "surrogate": made_up(),
@@ -52,7 +52,7 @@ def test_terms_are_those_of_the_plain_ones(perception):
     for seed in range(1 if perception == "onboard" else 6):
         _, info = env.reset(seed=seed)
         plain = PlainReward(EVERY, env.scenario.vehicle.make(), *stood(env))
-        ended, shaped, share = False, 0.0, 1.0
+        ended, shaped, score = False, 0.0, 0.0
         first = -plain.hope
         while not ended:
             good = np.flatnonzero(info["action_mask"])
@@ -63,10 +63,11 @@ def test_terms_are_those_of_the_plain_ones(perception):
             wanted = plain.step(action in bad, ended, info.get("safe"), there, *stood(env))
             assert info["reward_terms"] == pytest.approx(wanted, abs=1e-9)
             assert reward == pytest.approx(sum(wanted.values()), abs=1e-9)
-            shaped += share * wanted["shaping"]
-            share *= EVERY.discount
+            shaped += wanted["shaping"]
+            score += reward - wanted["shaping"]
             sums = {name: sums[name] + abs(one) for name, one in wanted.items()}
         assert shaped == pytest.approx(first, abs=1e-9)  # whatever was chosen
+        assert info["score"] == pytest.approx(score, abs=1e-9)
         ends.add(info["safe"])
     assert any(ends) and min(sums.values()) > 1e-3, sums
 
@@ -127,7 +128,7 @@ def test_every_crash_returns_less_than_any_safe_landing(seed):
         safe=rng.normal(2.0, 2.0), unsafe=rng.normal(-2.0, 2.0), propellant=rng.exponential(0.7),
         invalid=rng.exponential(0.05), speed=rng.exponential(0.4), tilt=rng.exponential(0.4),
         hazard=rng.exponential(0.4), information=rng.exponential(0.3),
-        shaping=rng.exponential(1.0), discount=rng.uniform(0.5, 1.0),
+        shaping=rng.exponential(1.0),
     )  # fmt: skip
     worst = min(
         [_random_flight(rng, weights, True, True)]
@@ -186,7 +187,7 @@ def test_what_a_map_reports():
 
 @pytest.mark.parametrize(
     "weights",
-    [{"propellant": -0.1}, {"speed": np.nan}, {"discount": 0.0}, {"safe": -1.0}, {"unsafe": 0.9}],
+    [{"propellant": -0.1}, {"speed": np.nan}, {"safe": -1.0}, {"unsafe": 0.9}],
 )
 def test_weights_that_will_not_do_are_refused(weights):
     with pytest.raises(InputError, match="weights"):
@@ -201,7 +202,7 @@ def test_weights_stand_in_the_scenario():
     again = Scenario.from_dict(own.to_dict())
     assert again == own and again.site_reward.speed == 0.25
     made = gymnasium.make(
-        "lunarsim_envs:lunarsim/Retarget-v0", scenario=own, changes={"site_reward.tilt": 0.4}
+        "lunarsim_envs:lunarsim/Retarget-v1", scenario=own, changes={"site_reward.tilt": 0.4}
     )
     wanted = RewardWeights(propellant=0.5, speed=0.25, tilt=0.4, information=0.1, shaping=0.3)
     assert made.unwrapped.weights == wanted

@@ -1,4 +1,4 @@
-"""Retarget-v0 flown by kernels: its spaces, seeds, batches, perceptions and agents."""
+"""Retarget-v1 flown by kernels: its spaces, seeds, batches, perceptions and agents."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from lunarsim_envs.sites.perception import KERNELS
 from lunarsim_envs.training.sites import CemSettings, fly_networks, initial_network, train
 from tests.envs.site_scene import SMALL, lanes, made_up
 
-ID = "lunarsim_envs:lunarsim/Retarget-v0"
+ID = "lunarsim_envs:lunarsim/Retarget-v1"
 EVERY = tuple(observations.PARTS)
 
 
@@ -241,7 +241,7 @@ if __name__ == "__main__":
         return total
     sums(100)
     env = gymnasium.make_vec(
-        "lunarsim/Retarget-v0", num_envs=2, vectorization_mode="async", scenario=SMALL,
+        "lunarsim/Retarget-v1", num_envs=2, vectorization_mode="async", scenario=SMALL,
         vector_kwargs={"context": sys.argv[1]},
     )
     env.reset(seed=1)
@@ -289,8 +289,8 @@ def test_a_network_of_sites_chooses_saves_and_flies(tmp_path):
         moved += action > 0
         observation, _, ended, _, info = env.step(action)
     assert moved > 0
-    with pytest.raises(InputError, match="Retarget-v0"):
-        agent_of(str(tmp_path / "own.npz"), gymnasium.make("lunarsim/Guidance-v0"))
+    with pytest.raises(InputError, match="Retarget-v1"):
+        agent_of(str(tmp_path / "own.npz"), gymnasium.make("lunarsim/Guidance-v1"))
     np.savez(tmp_path / "wrong.npz", format="lunarsim site network 1", linear=np.zeros(2))
     with pytest.raises(InputError, match="wrong"):
         SiteNetwork.load(tmp_path / "wrong.npz")

@@ -1,4 +1,4 @@
-"""Retarget-v0 in which time, too, is decided on: actions of several parts."""
+"""Retarget-v1 in which time, too, is decided on: actions of several parts."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def test_check_env_without_a_warning(perception):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         given = SITE | {"action": BOTH, "perception": perception}
-        check_env(gymnasium.make("lunarsim_envs:lunarsim/Retarget-v0", **given).unwrapped)
+        check_env(gymnasium.make("lunarsim_envs:lunarsim/Retarget-v1", **given).unwrapped)
 
 
 @pytest.mark.parametrize("perception", ["truth", "onboard"])
@@ -331,7 +331,7 @@ def test_agents_of_sites_leave_the_time_as_it_comes(name):
     turned, _ = flown(made(action=("time_scale", "site")), name, 3)
     assert turned == plainly
     if name != "zero":
-        with pytest.raises(InputError, match="needs Retarget-v0 with the action component 'site'"):
+        with pytest.raises(InputError, match="needs Retarget-v1 with the action component 'site'"):
             agent_of(name, made(action=("time_scale",)))
 
 
@@ -349,19 +349,19 @@ def test_random_draws_all_that_can_be_had():
 
 
 def test_agents_are_evaluated_on_the_parts_that_are_asked_for():
-    given = evaluation_study("lunarsim_envs:Retarget-v0", None, [], 1, action=list(BOTH))
+    given = evaluation_study("lunarsim_envs:Retarget-v1", None, [], 1, action=list(BOTH))
     assert given.make().action_space == spaces.MultiDiscrete([21, 5])
-    for name in ("lunarsim_envs:Guidance-v0", "CartPole-v1"):
+    for name in ("lunarsim_envs:Guidance-v1", "CartPole-v1"):
         with pytest.raises(InputError, match="--action: applies only"):
             evaluation_study(name, None, [], 1, action=["time_scale"])
-    words = ["evaluate", "Retarget-v0", "--episodes", "1", "--jobs", "1"]
+    words = ["evaluate", "Retarget-v1", "--episodes", "1", "--jobs", "1"]
     done = CliRunner().invoke(main, [*words, "--action", "time_scale", "--agent", "nearest-safe"])
     assert done.exit_code == 2 and "with the action component 'site'" in done.output
 
 
 def test_frames_say_by_which_time_scale():
     env = gymnasium.make(
-        "lunarsim_envs:lunarsim/Retarget-v0", scenario=SMALL, action=BOTH, render_mode="rgb_array"
+        "lunarsim_envs:lunarsim/Retarget-v1", scenario=SMALL, action=BOTH, render_mode="rgb_array"
     ).unwrapped
     env.reset(seed=3)
     env.step([0, 3])

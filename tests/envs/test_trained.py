@@ -24,7 +24,7 @@ WIDE = PpoSettings().changes
 def landed(agent, count, seed):
     """Return the share of flights that end safe within 10 m, and what those burnt on average."""
     vector = gymnasium.make_vec(
-        "lunarsim_envs:lunarsim/Guidance-v0", num_envs=count, autoreset_mode="SameStep",
+        "lunarsim_envs:lunarsim/Guidance-v1", num_envs=count, autoreset_mode="SameStep",
         vectorization_mode="vector_entry_point", changes=WIDE,
     )  # fmt: skip
     observation, _ = vector.reset(seed=seed)
@@ -81,7 +81,7 @@ def test_it_is_small_and_flies_without_pytorch():
 
 def test_it_refuses_what_it_was_not_trained_for():
     for env, says in (
-        (ControlEnv(changes=LOW), "needs Guidance-v0"),
+        (ControlEnv(changes=LOW), "needs Guidance-v1"),
         (GuidanceEnv(changes=LOW, rate_hz=10.0), "5 actions per second"),
         (GuidanceEnv(changes=LOW, observation=["position", "velocity"]), "observation components"),
     ):

@@ -1,4 +1,4 @@
-"""Training of Guidance-v0: needs the extra `rl`, and is slow for PyTorch's sake."""
+"""Training of Guidance-v1: needs the extra `rl`, and is slow for PyTorch's sake."""
 
 from __future__ import annotations
 

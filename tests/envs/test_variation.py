@@ -193,7 +193,7 @@ def test_nothing_is_drawn_or_reported_that_is_not_asked_for():
 
 def test_the_whole_simulation_refuses_the_table():
     scenario = Scenario.from_dict({"domain_randomization": {"payload_kg": 5.0}})
-    with pytest.raises(InputError, match="only Guidance-v0 and Control-v0"):
+    with pytest.raises(InputError, match="only Guidance-v1 and Control-v1"):
         Simulation(scenario, 1)
 
 

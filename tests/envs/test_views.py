@@ -1,4 +1,4 @@
-"""The chase view and the onboard camera of `Retarget-v0`."""
+"""The chase view and the onboard camera of `Retarget-v1`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim_envs.chase_view import ASIDE, HEIGHT, WIDTH, ChaseViewRenderer, project
 
-ID = "lunarsim_envs:lunarsim/Retarget-v0"
+ID = "lunarsim_envs:lunarsim/Retarget-v1"
 
 
 @pytest.fixture(scope="module")

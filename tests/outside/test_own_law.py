@@ -32,7 +32,7 @@ def test_its_settings_are_checked(small):
 
 def test_it_flies_the_environment_as_an_agent(outside, tmp_path, monkeypatch):
     monkeypatch.delenv("LUNARSIM_ALLOW_MODULES")
-    arguments = ["evaluate", "Guidance-v0", "--episodes", "2", "--jobs", "1"]
+    arguments = ["evaluate", "Guidance-v1", "--episodes", "2", "--jobs", "1"]
     arguments += ["--agent", "e-guidance", "--agent", OWN, "--out", str(tmp_path / "out")]
     done = CliRunner().invoke(main, arguments)
     assert done.exit_code == 0, done.output

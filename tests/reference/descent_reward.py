@@ -30,24 +30,22 @@ def _excess(motion, lander):
 def terms(moved, y, target, landed, lost, safe, motion, before, weights, craft):
     """Return the reward terms (n,) of a step by name, with 0 where `moved` (n,) is false.
 
-    `landed`, `lost` and `safe` (n,) say how flights have ended; `motion` (n, 4) has vertical and
-    horizontal speed, tilt and rate at touchdown. `before` is mass and potential before the step,
-    (n,) each, and `craft` the `VehicleParams`.
+    `landed`, `lost` (ended without touchdown) and `safe` (n,) say how flights have ended; `motion`
+    (n, 4) has vertical and horizontal speed, tilt and rate at touchdown. `before` is mass and
+    potential before the step, (n,) each, and `craft` the `VehicleParams`.
     """
-    w, lander, over = weights, craft.dynamics.lander, landed | lost
+    w, lander, over, crash = weights, craft.dynamics.lander, landed | lost, landed & ~safe
     mass, last = before
     after = np.where(over, 0.0, potential(y, target, w, lander, craft.dynamics.gravity))
     miss = np.linalg.norm(y[:, :2] - target[:, :2], axis=1)
-    far, fast = (max(np.linalg.norm(part), 1.0) for part in (craft.start[:3], craft.start[3:6]))
-    severity = (
-        np.linalg.norm(y[:, :3] - target, axis=1) / far + np.linalg.norm(y[:, 3:6], axis=1) / fast
-    )
+    far = max(np.linalg.norm(craft.start[:3]), 1.0)
+    severity = np.minimum(np.linalg.norm(y[:, :3] - target, axis=1) / far, 1.0)
     found = {
-        "touchdown": np.where(over, np.where(safe, w.safe, w.crash), 0.0),
+        "touchdown": safe * w.safe + crash * w.crash + lost * w.no_landing,
         "propellant": -w.propellant * (mass - y[:, 13]),
         "miss": np.where(safe, -w.miss * np.minimum(miss, 50.0), 0.0),
-        "excess": np.where(over & ~safe, -w.excess * _excess(motion, lander), 0.0),
-        "severity": np.where(over & ~safe, -0.5 * w.severity * np.minimum(severity, 2.0), 0.0),
-        "shaping": w.discount * after - last,
+        "excess": np.where(crash, -w.excess * _excess(motion, lander), 0.0),
+        "severity": np.where(crash, -w.severity * severity, 0.0),
+        "shaping": after - last,
     }
     return {name: np.where(moved, term, 0.0) for name, term in found.items()}

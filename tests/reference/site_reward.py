@@ -44,6 +44,6 @@ class PlainReward:
             told["hazard"] = -w.hazard * max(slope / v.slope_limit, rough / v.roughness_limit)
         known, hope = self._known(p, seen), 0.0 if ended else self._hope(p_here)
         told["information"] = w.information * (known - self.known)
-        told["shaping"] = w.discount * hope - self.hope
+        told["shaping"] = hope - self.hope
         self.mass, self.known, self.hope = mass, known, hope
         return told

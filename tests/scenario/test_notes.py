@@ -131,7 +131,7 @@ def test_a_lidar_whose_range_is_below_all_tasked_altitudes_is_odd(tasking, told)
 
 def test_variation_is_odd_where_landers_fly_by_themselves():
     (note,) = notes(domain_randomization={"payload_kg": 10.0})
-    assert "domain_randomization" in note and "lunarsim evaluate Guidance-v0" in note
+    assert "domain_randomization" in note and "lunarsim evaluate Guidance-v1" in note
 
 
 def test_a_camera_that_no_mapper_uses_may_record():

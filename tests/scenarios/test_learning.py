@@ -15,12 +15,12 @@ def _between(low, high):
 
 def test_reference_scores_have_one_row_per_agent(script, monkeypatch, capsys):
     study = script("learning", "reference_scores")
-    monkeypatch.setattr("sys.argv", ["x", "--episodes", "2", "--only", "Control-v0"])
+    monkeypatch.setattr("sys.argv", ["x", "--episodes", "2", "--only", "Control-v1"])
     assert study.main() == 0
     rows = capsys.readouterr().out.strip().splitlines()[2:]
-    assert [row.split("`")[1] for row in rows] == list(study.AGENTS["Control-v0"])
+    assert [row.split("`")[1] for row in rows] == list(study.AGENTS["Control-v1"])
     assert all("| 0.000 [0.000, 0.658] |" in row for row in rows)  # no agent lands by chance
-    for given, word in ((["--only", "Glide-v0"], "Guidance-v0"), (["--episodes", "0"], "episodes")):
+    for given, word in ((["--only", "Glide-v0"], "Guidance-v1"), (["--episodes", "0"], "episodes")):
         monkeypatch.setattr("sys.argv", ["x", *given])
         assert study.main() == 2
         assert word in capsys.readouterr().err
@@ -29,7 +29,7 @@ def test_reference_scores_have_one_row_per_agent(script, monkeypatch, capsys):
 def test_every_environment_has_reference_scores(script):
     study = script("learning", "reference_scores")
     flown = {study.study_of(name, 1).env for name in study.AGENTS}
-    assert flown == {"lunarsim/Guidance-v0", "lunarsim/Control-v0", "lunarsim/Retarget-v0"}
+    assert flown == {"lunarsim/Guidance-v1", "lunarsim/Control-v1", "lunarsim/Retarget-v1"}
     told = {study.study_of(name, 1).arguments.get("perception") for name in study.AGENTS}
     assert told == {None, "surrogate", "truth"}
 

@@ -33,17 +33,17 @@ def same(first, second):
 @pytest.mark.parametrize(
     ("env", "agent", "more", "settings"),
     [
-        ("Guidance-v0", "apollo", (), {}),
+        ("Guidance-v1", "apollo", (), {}),
         (
-            "Retarget-v0", "random", ("--perception", "truth", "--scenario", "small.toml"),
+            "Retarget-v1", "random", ("--perception", "truth", "--scenario", "small.toml"),
             {"perception": "truth", "scenario": "small.toml"},
         ),
         (
-            "Guidance-v0", "random", ("--observation", "position", "--observation", "time_left"),
+            "Guidance-v1", "random", ("--observation", "position", "--observation", "time_left"),
             {"observation": ("position", "time_left")},
         ),
         (
-            "Retarget-v0", "random",
+            "Retarget-v1", "random",
             ("--perception", "truth", "--scenario", "small.toml", "--action", "time_scale",
              "--action", "site"),
             {"perception": "truth", "scenario": "small.toml", "action": ("time_scale", "site")},
@@ -85,14 +85,14 @@ def test_recorded_episodes_can_be_replayed(
 @pytest.mark.parametrize(
     ("given", "word"),
     [
-        (("Guidance-v0", "--agent", "appollo"), "--agent"),
-        (("Guidance-v0", "--perception", "truth"), "--perception"),
-        (("Retarget-v0", "--perception", "trooth"), "perception"),
-        (("Guidance-v0", "--agent", "safest"), "--agent"),
-        (("Guidance-v0", "--action", "time_scale"), "--action"),
-        (("Retarget-v0", "--action", "time_scal"), "Did you mean 'time_scale'"),
-        (("Retarget-v0", "--set", "rocks.cover=2"), "rocks.cover"),
-        (("Guidance-v0", "--episodes", "0"), "--episodes"),
+        (("Guidance-v1", "--agent", "appollo"), "--agent"),
+        (("Guidance-v1", "--perception", "truth"), "--perception"),
+        (("Retarget-v1", "--perception", "trooth"), "perception"),
+        (("Guidance-v1", "--agent", "safest"), "--agent"),
+        (("Guidance-v1", "--action", "time_scale"), "--action"),
+        (("Retarget-v1", "--action", "time_scal"), "Did you mean 'time_scale'"),
+        (("Retarget-v1", "--set", "rocks.cover=2"), "rocks.cover"),
+        (("Guidance-v1", "--episodes", "0"), "--episodes"),
     ],
 )
 def test_invalid_requests_are_rejected_without_output(script, tmp_path, given, word):
@@ -104,15 +104,15 @@ def test_invalid_requests_are_rejected_without_output(script, tmp_path, given, w
 
 
 def test_existing_folders_are_not_overwritten(script, tmp_path):
-    done = recorded(script, "Guidance-v0", "--out", tmp_path)
+    done = recorded(script, "Guidance-v1", "--out", tmp_path)
     assert done.exit_code == 2 and "must be a new folder" in done.output
 
 
 @pytest.mark.parametrize(
     ("env", "agent", "weights", "safe"),
     [
-        ("Guidance-v0", "hover", ("descent_reward.safe=3", "descent_reward.crash=1"), 0),
-        ("Guidance-v0", "apollo", ("descent_reward.safe=-1", "descent_reward.crash=-3"), 1),
+        ("Guidance-v1", "hover", ("descent_reward.safe=3", "descent_reward.crash=1"), 0),
+        ("Guidance-v1", "apollo", ("descent_reward.safe=-1", "descent_reward.crash=-3"), 1),
     ],
 )
 def test_safe_flag_is_the_landing_outcome_for_any_reward(
@@ -131,6 +131,6 @@ def test_invalid_actions_are_attributed_to_the_agent(script, tmp_path, monkeypat
     Path("agent_of_nans.py").write_text(
         "import numpy as np\ndef nans(shown):\n    return np.full(3, np.nan)\n"
     )
-    done = recorded(script, "Guidance-v0", "--agent", "agent_of_nans:nans", "--out", "some")
+    done = recorded(script, "Guidance-v1", "--agent", "agent_of_nans:nans", "--out", "some")
     assert done.exit_code == 2 and "must return valid actions" in done.output
     assert not Path("some").exists()

@@ -60,9 +60,9 @@ def test_a_pickle_is_not_read_without_trust(tmp_path):
     mark = tmp_path / "ran"
     data = json.dumps({"policy_class": {"__module__": "stable_baselines3.common.policies"}})
     path = members(tmp_path / "a.zip", data=data, bomb=pickle.dumps(Bomb(mark)))
-    done = CliRunner().invoke(main, ["evaluate", "Guidance-v0", "--agent", str(path)])
+    done = CliRunner().invoke(main, ["evaluate", "Guidance-v1", "--agent", str(path)])
     assert done.exit_code == 2 and "--trust-pickle" in done.stderr, done.output
-    env = gymnasium.make("lunarsim/Guidance-v0")
+    env = gymnasium.make("lunarsim/Guidance-v1")
     for fly in (agent_of, lambda given, env: Sb3Agent(env, given)):
         with pytest.raises(InputError, match="trust_pickle"):
             fly(str(path), env)
@@ -73,7 +73,7 @@ def test_a_pickle_is_not_read_without_trust(tmp_path):
     "load",
     [
         OptimalNetwork.load, InterestMap.load, Surrogate.load,
-        lambda path: agent_of(str(path), gymnasium.make("lunarsim/Guidance-v0")),
+        lambda path: agent_of(str(path), gymnasium.make("lunarsim/Guidance-v1")),
     ],
 )  # fmt: skip
 def test_archives_hold_no_objects_and_no_bombs(tmp_path, load):

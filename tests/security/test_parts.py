@@ -79,7 +79,7 @@ def test_a_scenario_imports_nothing(mark, tmp_path, table):
         ("fly",), ("compare", "--out", "o"), ("calibrate", "--out", "c.json"),
         ("render", "--out", "p.png"), ("terrain", "preview", "--out", "p.png"),
         ("terrain", "truth", "--out", "t.nc"), ("sweep", "--over", "rocks.cover=0,1", "--out", "o"),
-        ("evaluate", "Retarget-v0", "--agent", "zero", "--scenario"),
+        ("evaluate", "Retarget-v1", "--agent", "zero", "--scenario"),
     ],
 )  # fmt: skip
 def test_no_command_imports_what_a_file_names(mark, tmp_path, command):

@@ -126,7 +126,7 @@ def test_flights_without_end_are_refused(tmp_path, flights):
         ("sweep", tmp_path / "s.toml", "--over", "rocks.cover=0,0.1", "--flights", flights, *out),
         ("compare", tmp_path / "s.toml", "--flights", flights, *out),
         ("calibrate", tmp_path / "s.toml", "--flights", flights, "--out", tmp_path / "c.json"),
-        ("evaluate", "Retarget-v0", "--agent", "zero", "--episodes", flights),
+        ("evaluate", "Retarget-v1", "--agent", "zero", "--episodes", flights),
     ):  # fmt: skip
         done = call(*command)
         assert done.exit_code == 2, (command, done.output)

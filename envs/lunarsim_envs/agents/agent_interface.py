@@ -36,9 +36,9 @@ def incompatible_agent_error(
 
 
 def check_sites(name: str, env: Any) -> None:
-    """Check that the actions of a ``Retarget-v0`` environment can choose a site.
+    """Check that the actions of a ``Retarget-v1`` environment can choose a site.
 
     Otherwise an `InputError` for the agent `name` is raised.
     """
     if not env.actions.has("site"):
-        raise incompatible_agent_error(name, env, "Retarget-v0 with the action component 'site'")
+        raise incompatible_agent_error(name, env, "Retarget-v1 with the action component 'site'")

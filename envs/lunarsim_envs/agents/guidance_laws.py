@@ -1,4 +1,4 @@
-"""Fly ``Guidance-v0`` with the guidance laws of the onboard computer."""
+"""Fly ``Guidance-v1`` with the guidance laws of the onboard computer."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _NEEDED = ("position", "velocity", "attitude", "rate", "propellant")
 
 
 def _descent_core(agent_name: str, env: gymnasium.Env[Any, Any]) -> DescentEnvCore:
-    """Return the simulated batch of a ``Guidance-v0`` environment for an agent.
+    """Return the simulated batch of a ``Guidance-v1`` environment for an agent.
 
     If the environment is another one, or its observation lacks a component that guidance laws need,
     an `InputError` with `agent_name` is raised.
     """
     flown = env.unwrapped
     if not isinstance(flown, GuidanceEnv):
-        raise incompatible_agent_error(agent_name, env, "Guidance-v0")
+        raise incompatible_agent_error(agent_name, env, "Guidance-v1")
     missing = [part for part in _NEEDED if part not in flown.descents.shown.places]
     if missing:
         raise incompatible_agent_error(agent_name, env, f"the observation component {missing[0]!r}")
@@ -70,7 +70,7 @@ class GuidanceLawAgent:
     Parameters
     ----------
     env
-        ``Guidance-v0`` with position, velocity, attitude, rate and propellant in its observation.
+        ``Guidance-v1`` with position, velocity, attitude, rate and propellant in its observation.
     kind
         Kind of guidance law, as listed by `lunarsim parts guidance`. The scenario's settings apply
         if the kind is that of the scenario, otherwise the default settings of the kind.
@@ -132,7 +132,7 @@ class GuidanceLawAgent:
     def _estimate(self, observation: Array, time: float) -> Estimate:
         """Convert an observation (size,) at `time`, s, to a state estimate."""
         places = self._descents.shown.places
-        values = observation.astype(np.float64)
+        values = self._descents.physical(observation).astype(np.float64)
         position, velocity, attitude, rate, propellant = (values[places[name]] for name in _NEEDED)
         mass = self._lander.dry_mass + float(propellant[0])
         return Estimate(time, position, velocity, attitude, rate, mass, np.zeros((9, 9)))
@@ -161,12 +161,12 @@ class GuidanceLawAgent:
 
 
 class PolynomialLawAgent:
-    """Fly ``Guidance-v0`` by E-guidance, then vertically, with `PolynomialGuidance`.
+    """Fly ``Guidance-v1`` by E-guidance, then vertically, with `PolynomialGuidance`.
 
     Parameters
     ----------
     env
-        ``Guidance-v0`` whose observation begins with position and velocity, and also has attitude,
+        ``Guidance-v1`` whose observation begins with position and velocity, and also has attitude,
         rate and propellant.
     """
 

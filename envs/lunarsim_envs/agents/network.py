@@ -18,21 +18,21 @@ from lunarsim_envs.descent.env import DescentEnv
 
 Array = NDArray[np.float32]
 
-_FORMAT = "lunarsim network 1"
+_FORMAT = "lunarsim network 2"
 
 
 @dataclass(frozen=True)
 class Network:
-    """Multilayer perceptron (tanh) that maps observations of a descent to actions.
+    """Multilayer perceptron (tanh) that maps scaled observations of a descent to actions.
 
     Attributes
     ----------
     far, near
-        Input scales (size,). The first layer gets x / far and asinh(x / near) of each value x.
+        Scales of the observation in the training (size,), as `ObservationScaling` has them.
     weights, biases
         Weights (m, n) and biases (m,) of the layers; the last layer outputs the action.
     level
-        Environment for which the network is trained: "Guidance-v0" or "Control-v0".
+        Environment for which the network is trained: "Guidance-v1" or "Control-v1".
     parts
         Names of the observation components, in order.
     rate
@@ -48,9 +48,8 @@ class Network:
     rate: float
 
     def __call__(self, observation: ArrayLike) -> Array:
-        """Return actions from -1 to 1 for observations (size,) or (n, size)."""
-        seen = np.asarray(observation, dtype=np.float32)
-        layer = np.concatenate((seen / self.far, np.arcsinh(seen / self.near)), axis=-1)
+        """Return actions from -1 to 1 for scaled observations (2 size,) or (n, 2 size)."""
+        layer = np.asarray(observation, dtype=np.float32)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             layer = np.tanh(layer @ weight.T + bias)
         return np.asarray(np.clip(layer @ self.weights[-1].T + self.biases[-1], -1.0, 1.0))
@@ -107,7 +106,7 @@ class Network:
 
 
 class NetworkAgent:
-    """Fly ``Guidance-v0`` or ``Control-v0`` with a trained NumPy network.
+    """Fly ``Guidance-v1`` or ``Control-v1`` with a trained NumPy network.
 
     Parameters
     ----------
@@ -126,7 +125,7 @@ class NetworkAgent:
 
     def __init__(self, env: gymnasium.Env[Any, Any], network: Network, name: str) -> None:
         flown = env.unwrapped
-        level = f"{'Guidance' if getattr(flown, 'guided', False) else 'Control'}-v0"
+        level = f"{'Guidance' if getattr(flown, 'guided', False) else 'Control'}-v1"
         if not isinstance(flown, DescentEnv) or level != network.level:
             raise incompatible_agent_error(name, env, network.level)
         parts = tuple(part.name for part in flown.descents.shown.parts)
@@ -134,9 +133,16 @@ class NetworkAgent:
             raise incompatible_agent_error(
                 name, env, f"the observation components {', '.join(network.parts)}"
             )
+        scaling = flown.descents.scaling
+        if scaling is None or not (
+            np.array_equal(scaling.far, network.far) and np.array_equal(scaling.near, network.near)
+        ):
+            raise incompatible_agent_error(
+                name, env, "observations that are scaled as in its training"
+            )
         if abs(flown.descents.period * network.rate - 1.0) > 1e-9:
             raise incompatible_agent_error(name, env, f"{network.rate:g} actions per second")
-        if network.weights[-1].shape[0] != len(flown.descents.actions.scale):
+        if network.weights[-1].shape[0] != len(flown.descents.actions.high):
             raise incompatible_agent_error(
                 name, env, f"actions with {network.weights[-1].shape[0]} values"
             )
@@ -146,5 +152,5 @@ class NetworkAgent:
         """Do nothing: the network has no memory and is deterministic."""
 
     def act(self, observation: Any, info: dict[str, Any]) -> Array:
-        """Return the action that the network computes from an observation (size,)."""
+        """Return the action that the network computes from an observation (2 size,)."""
         return self._network(observation)

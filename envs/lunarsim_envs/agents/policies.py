@@ -1,4 +1,4 @@
-"""Fly ``Retarget-v0`` with the retargeting policies of the onboard computer."""
+"""Fly ``Retarget-v1`` with the retargeting policies of the onboard computer."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lunarsim_envs.sites.observations import SITES
 
 
 class PolicyAgent:
-    """Choose landing sites in ``Retarget-v0`` with an onboard retargeting policy.
+    """Choose landing sites in ``Retarget-v1`` with an onboard retargeting policy.
 
     If the policy chooses a site that is not a row of the observation, or decides to abort, the
     lander keeps its site. The agent does not change the time-to-go.
@@ -22,7 +22,7 @@ class PolicyAgent:
     Parameters
     ----------
     env
-        ``Retarget-v0``.
+        ``Retarget-v1``.
     kind
         Kind of policy, as listed by `lunarsim parts policy`.
 
@@ -36,7 +36,7 @@ class PolicyAgent:
     def __init__(self, env: gymnasium.Env[Any, Any], kind: str) -> None:
         flown = env.unwrapped
         if not isinstance(flown, RetargetEnv):
-            raise incompatible_agent_error(kind, env, "Retarget-v0")
+            raise incompatible_agent_error(kind, env, "Retarget-v1")
         check_sites(kind, flown)
         self._env = flown
         self._policy = make_policy(flown.scenario, kind)

@@ -145,14 +145,14 @@ def is_site_network(path: Path) -> bool:
 
 
 class SiteNetworkAgent:
-    """Choose landing sites in ``Retarget-v0`` with a trained site network.
+    """Choose landing sites in ``Retarget-v1`` with a trained site network.
 
     The network gets the same inputs as onboard policies.
 
     Parameters
     ----------
     env
-        ``Retarget-v0``.
+        ``Retarget-v1``.
     network
         Trained network.
     name
@@ -167,7 +167,7 @@ class SiteNetworkAgent:
     def __init__(self, env: gymnasium.Env[Any, Any], network: SiteNetwork, name: str) -> None:
         flown = env.unwrapped
         if not isinstance(flown, RetargetEnv):
-            raise incompatible_agent_error(name, env, "Retarget-v0")
+            raise incompatible_agent_error(name, env, "Retarget-v1")
         check_sites(name, flown)
         self._env, self._network = flown, network
 

@@ -88,7 +88,7 @@ class HoverAgent:
     Parameters
     ----------
     env
-        ``Guidance-v0`` or ``Control-v0``.
+        ``Guidance-v1`` or ``Control-v1``.
 
     Raises
     ------
@@ -99,7 +99,7 @@ class HoverAgent:
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         flown = env.unwrapped
         if not isinstance(flown, DescentEnv):
-            raise incompatible_agent_error("hover", env, "Guidance-v0 or Control-v0")
+            raise incompatible_agent_error("hover", env, "Guidance-v1 or Control-v1")
         lanes = flown.descents.lanes
         dynamics = lanes.craft.dynamics
         weight = dynamics.lander.wet_mass * dynamics.gravity

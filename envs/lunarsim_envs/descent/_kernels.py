@@ -208,7 +208,8 @@ class Flights(NamedTuple):
     """Status of the flights of n landers, each field an attribute of `DescentBatch`.
 
     World index, time (s), status (FLYING, ...) and violated limits (n,); touchdown values (n,
-    values) in the order of `core.touchdown.VALUES`.
+    values) in the order of `core.touchdown.VALUES`; targets (n, 3) and distances from them at which
+    flights end (n,), m.
     """
 
     world: np.ndarray
@@ -216,6 +217,25 @@ class Flights(NamedTuple):
     ended: np.ndarray
     failed: np.ndarray
     touchdown_values: np.ndarray
+    target: np.ndarray
+    max_distance: np.ndarray
+
+
+@kernel(exact=True)
+def _end_without_touchdown(i, y, time_limit, flights):
+    """End the flight of lander `i` at the time limit, s, or too far from its target.
+
+    `y` (15,) is its state.
+    """
+    if flights.time[i] >= time_limit:
+        flights.ended[i] = LATE
+        return
+    squares = 0.0
+    for k in range(3):
+        squares += (y[k] - flights.target[i, k]) ** 2
+    if squares > flights.max_distance[i] ** 2:
+        flights.ended[i] = LOST
+        flights.failed[i] = OFF_MAP
 
 
 @kernel()
@@ -398,5 +418,4 @@ def advance(
             i = lanes[n]
             if ended[i] == FLYING:
                 _store_lander(states, loop_state, n, i, y, rate, flights)
-                if flights.time[i] >= time_limit - 0.5 * dt:
-                    ended[i] = LATE
+                _end_without_touchdown(i, y[i], time_limit - 0.5 * dt, flights)

@@ -9,16 +9,15 @@ import numpy as np
 
 from lunarsim._jit import kernel
 from lunarsim.core.touchdown import LIMITS, VALUES
-from lunarsim_envs.descent._kernels import LANDED, LOST
+from lunarsim_envs.descent._kernels import FLYING, LANDED
 
 # Reward terms in the order of their sum, and the row of each in an array of terms.
 TERMS = ("touchdown", "propellant", "miss", "excess", "severity", "shaping")
 _TOUCHDOWN, _PROPELLANT, _MISS, _EXCESS, _SEVERITY, _SHAPING = range(len(TERMS))
 # Maximum miss distance in the reward, m.
 MAX_MISS_M = 50.0
-# Maximum severity of a crash (distance plus speed, each over that of the planned start), and
-# maximum excess over a limit (natural logarithm of the ratio).
-_MAX_SEVERITY, _MAX_EXCESS = 2.0, 3.0
+# Maximum excess over a limit (natural logarithm of the ratio).
+MAX_EXCESS = 3.0
 # Limits of motion at touchdown, and the columns of their values.
 MOTION_LIMITS = tuple(limit for limit in LIMITS if not limit.is_terrain)
 _COLUMNS = np.array([VALUES.index(limit.value) for limit in MOTION_LIMITS])
@@ -35,25 +34,24 @@ class Weights(NamedTuple):
 
     safe: float
     crash: float
+    no_landing: float
     propellant: float
     miss: float
     severity: float
     excess: float
     shaping: float
-    discount: float
 
 
 class RewardParams(NamedTuple):
     """Reward weights, and properties of start and lander that rewards need, SI.
 
-    `start_distance` (from the target) and `start_speed` are those of the planned start,
-    `deceleration` is the maximum one with full tanks, and `limits` (n,) are the limits of motion at
-    touchdown, in the order of `MOTION_LIMITS`.
+    `start_distance` is the distance of the planned start from the target, `deceleration` is the
+    maximum one with full tanks, and `limits` (n,) are the limits of motion at touchdown, in the
+    order of `MOTION_LIMITS`.
     """
 
     weights: Weights
     start_distance: float
-    start_speed: float
     com_height: float
     deceleration: float
     vertical_speed_limit: float
@@ -103,12 +101,12 @@ def _potential(y, target, params):
 
 @kernel(exact=True)
 def _severity(y, target, params):
-    """Return distance from the target plus speed, each relative to the planned start.
+    """Return the distance from the target relative to that of the planned start, at most 1.
 
-    The result is at most 2. `y` (15,) is the state of the lander and `target` (3,) its target.
+    `y` (15,) is the state of the lander and `target` (3,) its target.
     """
-    away = _norm(y[0] - target[0], y[1] - target[1], y[2] - target[2]) / params.start_distance
-    return min(away + _norm(y[3], y[4], y[5]) / params.start_speed, _MAX_SEVERITY)
+    away = _norm(y[0] - target[0], y[1] - target[1], y[2] - target[2])
+    return min(away / params.start_distance, 1.0)
 
 
 @kernel(exact=True)
@@ -116,13 +114,12 @@ def _excess(touchdown_values, params):
     """Return by how much a touchdown exceeds its limits.
 
     It is the sum over the limits of motion (speeds, tilt, rates) of log(value / limit), or 0 within
-    the limit. Each logarithm is at most 3; without a touchdown (`touchdown_values` are NaN) it is
-    3.
+    the limit. Each logarithm is at most 3, also for values that are not finite.
     """
     total = 0.0
     for k in range(len(_COLUMNS)):
         ratio = abs(touchdown_values[_COLUMNS[k]]) / params.limits[k]
-        total += min(np.log(max(ratio, 1.0)), _MAX_EXCESS) if np.isfinite(ratio) else _MAX_EXCESS
+        total += min(np.log(max(ratio, 1.0)), MAX_EXCESS) if np.isfinite(ratio) else MAX_EXCESS
     return total
 
 
@@ -138,28 +135,33 @@ def shaping_potentials(y, target, params, out):
 
 @kernel()
 def reward_terms(
-    moved, y, target, ended, failed, touchdown_values, params, mass, potential, terms
+    moved, y, target, ended, failed, touchdown_values, params, mass, potential, score, terms
 ):  # fmt: skip
     """Write the reward terms of the last step of some landers to `terms` (6, n).
 
     `moved` (n,) marks these landers; values of others are not written. `terms` has a row for each
     of `TERMS`. `mass` and `potential` (n,) are those before the step, and are set to those after
-    it. `y`, `target`, `ended`, `failed` and `touchdown_values` are attributes of `DescentBatch`.
+    it; the terms without shaping are added to `score` (n,). `y`, `target`, `ended`, `failed` and
+    `touchdown_values` are attributes of `DescentBatch`.
     """
     w = params.weights
     for i in range(len(y)):
         if not moved[i]:
             continue
-        over = ended[i] == LANDED or ended[i] == LOST
+        over = ended[i] != FLYING
         after = 0.0 if over else _potential(y[i], target[i], params)
         terms[_PROPELLANT, i] = -w.propellant * (mass[i] - y[i, 13])
-        terms[_SHAPING, i] = w.discount * after - potential[i]
+        terms[_SHAPING, i] = after - potential[i]
         mass[i], potential[i] = y[i, 13], after
         if ended[i] == LANDED and failed[i] == 0:
             miss = _norm(y[i, 0] - target[i, 0], y[i, 1] - target[i, 1], 0.0)
             terms[_TOUCHDOWN, i] = w.safe
             terms[_MISS, i] = -w.miss * min(miss, MAX_MISS_M)
-        elif over:
+        elif ended[i] == LANDED:
             terms[_TOUCHDOWN, i] = w.crash
             terms[_EXCESS, i] = -w.excess * _excess(touchdown_values[i], params)
-            terms[_SEVERITY, i] = -0.5 * w.severity * _severity(y[i], target[i], params)
+            terms[_SEVERITY, i] = -w.severity * _severity(y[i], target[i], params)
+        elif over:
+            terms[_TOUCHDOWN, i] = w.no_landing
+        for k in range(_SHAPING):
+            score[i] += terms[k, i]

@@ -16,31 +16,42 @@ _ROUNDING = 1e-6
 class Actions:
     """Convert between actions from -1 to 1 and physical commands.
 
-    Commands are thrust accelerations, or thrust and torques.
+    Commands are thrust accelerations, or thrust and torques. Action 0 is a vertical thrust equal to
+    the weight (thrust accelerations), or to the weight without propellant (thrust and torques).
 
     Parameters
     ----------
     lander
         Vehicle that defines the limits.
+    gravity
+        Gravity, m/s^2.
     guided
         Whether actions are thrust accelerations (true), or thrust and torques (false).
 
     Attributes
     ----------
-    scale, offset
-        Physical values are ``offset + scale * action``, m/s^2, or N and N m.
+    low, middle, high
+        Physical values of the actions -1, 0 and 1 (size,), m/s^2, or N and N m. Values between them
+        are interpolated linearly.
     """
 
-    def __init__(self, lander: Lander, *, guided: bool) -> None:
-        most = lander.thrust_max / lander.dry_mass
-        least, half = lander.thrust_min, 0.5 * (lander.thrust_max - lander.thrust_min)
-        self.scale = np.array([most, most, 0.5 * most] if guided else [half, *lander.torque_max])
-        self.offset = np.array([0.0, 0.0, 0.5 * most] if guided else [least + half, 0.0, 0.0, 0.0])
+    def __init__(self, lander: Lander, gravity: float, *, guided: bool) -> None:
+        torque = np.asarray(lander.torque_max)
+        if guided:
+            most = lander.thrust_max / lander.dry_mass
+            self.high = np.array([0.5 * most, 0.5 * most, most])
+            self.low = self.high * [-1.0, -1.0, 0.0]
+            self.middle = np.array([0.0, 0.0, gravity])
+        else:
+            weight = max(lander.dry_mass * gravity, lander.thrust_min)
+            self.high = np.array([lander.thrust_max, *torque])
+            self.low = np.array([lander.thrust_min, *-torque])
+            self.middle = np.array([weight, 0.0, 0.0, 0.0])
 
     @property
     def space(self) -> spaces.Box:
         """Action space of one environment."""
-        return spaces.Box(-1.0, 1.0, self.scale.shape, np.float32)
+        return spaces.Box(-1.0, 1.0, self.high.shape, np.float32)
 
     def physical(self, action: ArrayLike, count: int | None = None) -> Array:
         """Convert actions from -1 to 1 to physical units (n, size), m/s^2 or N and N m.
@@ -57,7 +68,7 @@ class Actions:
         ValueError
             If actions have another shape or type, are not finite or are out of bounds.
         """
-        size = len(self.scale)
+        size = len(self.high)
         shape = (size,) if count is None else (count, size)
         given = np.asarray(action)
         if given.shape != shape or given.dtype.kind not in "fiu":
@@ -71,12 +82,17 @@ class Actions:
             first = np.argwhere(~inside.reshape(shape))[0].tolist()
             value = given[tuple(first)].item()
             raise ValueError(f"action{first}: must be between -1 and 1, got {value:.7g}.")
-        return np.asarray(self.offset + self.scale * _limited(wide))
+        limited = _limited(wide)
+        span = np.where(limited < 0.0, self.middle - self.low, self.high - self.middle)
+        return np.asarray(self.middle + span * limited)
 
     def action(self, physical: ArrayLike) -> NDArray[np.float32]:
         """Return the action from -1 to 1 closest to values in physical units (..., size)."""
-        scaled = (np.asarray(physical, dtype=np.float64) - self.offset) / self.scale
-        return _limited(scaled).astype(np.float32)
+        offset = np.asarray(physical, dtype=np.float64) - self.middle
+        span = np.where(offset < 0.0, self.middle - self.low, self.high - self.middle)
+        # The span is 0 below the middle if the minimum thrust is the weight without propellant.
+        with np.errstate(divide="ignore"):
+            return _limited(offset / span).astype(np.float32)
 
 
 def _limited(values: Array) -> Array:

@@ -26,7 +26,7 @@ class PolynomialGuidance:
     Parameters
     ----------
     descents
-        ``env.unwrapped.descents`` of a ``Guidance-v0`` environment with position and velocity as
+        ``env.unwrapped.descents`` of a ``Guidance-v1`` environment with position and velocity as
         the first observation components.
 
     Raises
@@ -37,18 +37,18 @@ class PolynomialGuidance:
 
     def __init__(self, descents: DescentEnvCore) -> None:
         if not descents.lanes.guided:
-            raise InputError("descents", "Control-v0", "must be from a Guidance-v0 environment")
+            raise InputError("descents", "Control-v1", "must be from a Guidance-v1 environment")
         names = [part.name for part in descents.shown.parts[:2]]
         if names != ["position", "velocity"]:
             raise InputError("observation", names, "must begin with 'position' and 'velocity'")
-        self._actions = descents.actions
+        self._actions, self._physical = descents.actions, descents.physical
         dynamics = descents.lanes.craft.dynamics
         self._gravity = dynamics.gravity
         self._pads = dynamics.lander.com_height
 
     def __call__(self, observation: ArrayLike) -> NDArray[np.float32]:
         """Return the actions for one observation (size,) or several (n, size)."""
-        seen = np.atleast_2d(np.asarray(observation, dtype=np.float64))
+        seen = np.atleast_2d(self._physical(observation).astype(np.float64))
         position, velocity = seen[:, :3], seen[:, 3:6]
         low = position[:, 2] < self._pads + 1.15 * _HEIGHT
         wanted = np.where(

@@ -6,6 +6,7 @@ A lane is one lander of the batch with its current flight.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,7 +194,7 @@ class DescentBatch:
     time
         Time since the start of each flight (n,), s.
     ended
-        State of the flight: FLYING, LANDED (a pad has touched), LOST (off the map) or LATE (time
+        State of the flight: FLYING, LANDED (a pad has touched), LOST (far away or below the map) or LATE (time
         limit) (n,).
     failed
         Violated touchdown limits (n,), one bit each in the order of `core.touchdown.CAUSES`.
@@ -204,6 +205,9 @@ class DescentBatch:
         `VehicleParams.target_area` (n, 4).
     world_ranges
         Index of the first world that each lane may use, and number of these worlds (n, 2).
+    max_distance
+        Distance of each lander from its target at which the flight ends (n,), m. It is the planned
+        distance at the start times `max_distance_ratio`.
     has_key
         Whether each lane has a random key (n,).
     params
@@ -212,6 +216,8 @@ class DescentBatch:
         Other randomized parameters of each flight (n, 13), in the order of
         `domain_randomization.RANDOM_QUANTITIES`.
     """
+
+    max_distance_ratio: ClassVar[float] = 1.5
 
     def __init__(
         self, count: int, craft: VehicleParams, worlds: WorldPool, *, guided: bool, rate: float
@@ -223,6 +229,7 @@ class DescentBatch:
         self.time, self.touchdown_values = np.zeros(count), np.full((count, len(VALUES)), np.nan)
         self.ended, self.failed = np.full(count, LATE), np.zeros(count, np.int64)
         self.starts = np.tile(craft.start, (count, 1))
+        self.max_distance = np.full(count, np.inf)
         self.target_areas = np.tile(craft.target_area, (count, 1))
         self.world_ranges = np.tile(worlds.span(None), (count, 1))
         self.has_key = np.zeros(count, np.bool_)
@@ -248,7 +255,10 @@ class DescentBatch:
 
     @property
     def _flights(self) -> k.Flights:
-        return k.Flights(self.world, self.time, self.ended, self.failed, self.touchdown_values)
+        return k.Flights(
+            self.world, self.time, self.ended, self.failed, self.touchdown_values, self.target,
+            self.max_distance,
+        )  # fmt: skip
 
     @property
     def keys(self) -> NDArray[np.uint64]:
@@ -288,6 +298,9 @@ class DescentBatch:
                 mask, self._keys, self._flight_counts, self.craft.domain_randomization.ranges,
                 STANDARD_GRAVITY, self._true_params, self.randomized, self.params, self.y,
             )  # fmt: skip
+        planned = np.linalg.norm(self.craft.start[:3])
+        start = np.linalg.norm(self.starts[mask, :3], axis=1)
+        self.max_distance[mask] = self.max_distance_ratio * np.maximum(start, planned)
         self.failed[mask] = 0
         self.touchdown_values[mask] = np.nan
 

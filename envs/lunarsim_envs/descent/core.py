@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 import numpy as np
+from gymnasium import spaces
 from gymnasium.utils import seeding
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
@@ -22,9 +23,9 @@ from lunarsim_envs.arguments import (
     scenario_argument,
 )
 from lunarsim_envs.descent.actions import Actions
-from lunarsim_envs.descent.batch import FLYING, LATE, DescentBatch, VehicleParams
+from lunarsim_envs.descent.batch import FLYING, DescentBatch, VehicleParams
 from lunarsim_envs.descent.noise_and_delay import SensingModel
-from lunarsim_envs.descent.observations import DEFAULT, ObservationLayout
+from lunarsim_envs.descent.observations import DEFAULT, ObservationLayout, ObservationScaling
 from lunarsim_envs.descent.options import apply_options, check_start_height
 from lunarsim_envs.descent.rewards import DescentWeights, Rewards
 from lunarsim_envs.descent.worlds import WorldPool
@@ -54,15 +55,16 @@ def _checked_rate(rate_hz: Any) -> float:
 class DescentEnvArguments(TypedDict, total=False):
     """Arguments that single and vector descent environments share.
 
-    Scenario with changes, action rate, observation components, reward weights, pool of worlds and
-    privileged information. The docstring of `env.GuidanceEnv` describes each one.
+    Scenario with changes, action rate, observation components and whether they are scaled, reward
+    weights, pool of worlds and privileged information. The docstring of `env.GuidanceEnv` describes each one.
     """
 
     scenario: Scenario | str | Path | None
     changes: Mapping[str, Any] | None
     rate_hz: float
     observation: Sequence[str]
-    weights: DescentWeights | None
+    scaled: bool
+    weights: DescentWeights | str | None
     worlds: int
     world_seed: int
     covers: Sequence[float]
@@ -72,7 +74,7 @@ class DescentEnvArguments(TypedDict, total=False):
 class DescentEnvCore:
     """Simulate n landers with observations, actions and rewards of an environment.
 
-    Single and vector environments of ``Guidance-v0`` and ``Control-v0`` wrap this class.
+    Single and vector environments of ``Guidance-v1`` and ``Control-v1`` wrap this class.
 
     Parameters
     ----------
@@ -80,7 +82,7 @@ class DescentEnvCore:
         Number of landers n; None for a single environment with actions (size,).
     guided
         Whether actions are thrust accelerations (true), or thrust and torques (false).
-    scenario, changes, rate_hz, observation, weights, worlds, world_seed, covers, privileged
+    scenario, changes, rate_hz, observation, scaled, weights, worlds, world_seed, covers, privileged
         Arguments of the environment, described in `env.GuidanceEnv`.
     """
 
@@ -93,7 +95,8 @@ class DescentEnvCore:
         changes: Mapping[str, Any] | None = None,
         rate_hz: float,
         observation: Sequence[str] = DEFAULT,
-        weights: DescentWeights | None = None,
+        scaled: bool = True,
+        weights: DescentWeights | str | None = None,
         worlds: int = 1,
         world_seed: int = 0,
         covers: Sequence[float] = (),
@@ -109,11 +112,13 @@ class DescentEnvCore:
             checked_bool("privileged", privileged),
             checked_weights(weights, DescentWeights),
         )
+        scaled = checked_bool("scaled", scaled)
         rate_hz = _checked_rate(rate_hz)
         self.scenario = scenario_argument(scenario, changes, flat_scenario())
         craft = VehicleParams.of(self.scenario)
         self.shown = ObservationLayout(observation)
-        self.actions = Actions(craft.dynamics.lander, guided=guided)
+        self.scaling = ObservationScaling(self.shown) if scaled else None
+        self.actions = Actions(craft.dynamics.lander, craft.dynamics.gravity, guided=guided)
         pool = WorldPool.of(self.scenario, worlds, world_seed, checked_covers(covers))
         self.lanes = DescentBatch(count, craft, pool, guided=guided, rate=rate_hz)
         check_start_height(craft.start, self.lanes)
@@ -164,13 +169,24 @@ class DescentEnvCore:
         if self.sensing_model is not None:
             self.sensing_model.begin(mask)
 
+    @property
+    def observation_space(self) -> spaces.Box:
+        """Observation space of one lander."""
+        return self.shown.space if self.scaling is None else self.scaling.space
+
     def observe(self) -> NDArray[np.float32]:
         """Return the observations of all landers (n, size), with noise and delay if set."""
-        return (
+        physical = (
             self.shown.of(self.lanes)
             if self.sensing_model is None
             else self.sensing_model.delayed_observations
         )
+        return physical if self.scaling is None else self.scaling.scaled(physical)
+
+    def physical(self, observation: ArrayLike) -> NDArray[np.float32]:
+        """Return the components (..., size), SI, of observations as `observe` returns them."""
+        given = np.asarray(observation, np.float32)
+        return given if self.scaling is None else self.scaling.physical(given)
 
     def extra_info(self) -> dict[str, Any]:
         """Return values for `info` that are not part of the observation, by name.
@@ -191,16 +207,21 @@ class DescentEnvCore:
         return extra_info
 
     def outcome(self) -> dict[str, Array]:
-        """Return flight time (s), propellant used (kg) and miss distance (m), each (n,)."""
-        lanes = self.lanes
-        return {"time_s": lanes.time, "propellant_kg": lanes.propellant_used, "miss_m": lanes.miss}
+        """Return the values of `info` at the end of an episode, by name, each (n,).
 
-    def step(self, action: Any) -> tuple[dict[str, Array], BoolArray, BoolArray, BoolArray]:
+        Flight time (s), propellant used (kg), miss distance (m) and score.
+        """
+        lanes = self.lanes
+        return {
+            "time_s": lanes.time, "propellant_kg": lanes.propellant_used, "miss_m": lanes.miss,
+            "score": self.rewards.score,
+        }  # fmt: skip
+
+    def step(self, action: Any) -> tuple[dict[str, Array], BoolArray, BoolArray]:
         """Fly all flying landers with actions from -1 to 1 until the next action is due.
 
-        Returns the reward terms (n,) by name and three masks (n,): landers that were flying before
-        the step, flights that it terminated (by touchdown or below the map), and flights that it
-        truncated (by the time limit).
+        Returns the reward terms (n,) by name and two masks (n,): landers that were flying before
+        the step, and flights that it ended.
         """
         physical = self.actions.physical(action, self.lanes.count if self.many else None)
         moved = self.lanes.ended == FLYING
@@ -209,6 +230,4 @@ class DescentEnvCore:
         self.lanes.move(physical)
         if self.sensing_model is not None:
             self.sensing_model.observe(moved)
-        over = moved & (self.lanes.ended != FLYING)
-        late = over & (self.lanes.ended == LATE)
-        return self.rewards.terms(moved), moved, over & ~late, late
+        return self.rewards.terms(moved), moved, moved & (self.lanes.ended != FLYING)

@@ -1,4 +1,4 @@
-"""Environments ``lunarsim/Guidance-v0`` and ``lunarsim/Control-v0``: descents."""
+"""Environments ``lunarsim/Guidance-v1`` and ``lunarsim/Control-v1``: descents."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         settings.setdefault("rate_hz", self.rate)
         self.descents = DescentEnvCore(None, guided=self.guided, **settings)
         self.action_space = self.descents.actions.space
-        self.observation_space = self.descents.shown.space
+        self.observation_space = self.descents.observation_space
         # The class always lists "human", because Gymnasium checks the class before the instance.
         modes = available_render_modes(self.metadata["render_modes"])
         fps = max(round(1.0 / self.descents.period), 1)
@@ -78,18 +78,18 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         d = self.descents
         if d.lanes.ended[0] != FLYING:
             raise gymnasium.error.ResetNeeded("The episode has ended. Call reset().")
-        terms, _, terminated, truncated = d.step(action)
+        terms, _, over = d.step(action)
         named = {name: float(term[0]) for name, term in terms.items()}
         if self._picture is not None:
             self._picture.note()
         self._show()
-        crash = bool(terminated[0]) and not d.lanes.safe[0]
-        info: dict[str, Any] = {"reward_terms": named, "cost": float(crash)} | self._hidden()
-        if terminated[0] or truncated[0]:
+        ended = bool(over[0])
+        cost = float(ended and not d.lanes.safe[0])
+        info: dict[str, Any] = {"reward_terms": named, "cost": cost} | self._hidden()
+        if ended:
             info |= {"safe": bool(d.lanes.safe[0]), "failure_causes": d.lanes.failure_causes(0)}
             info |= {name: float(value[0]) for name, value in d.outcome().items()}
-        ends = bool(terminated[0]), bool(truncated[0])
-        return d.observe()[0], float(sum_terms(named)), *ends, info
+        return d.observe()[0], float(sum_terms(named)), ended, False, info
 
     def _show(self) -> None:
         if self._screen is not None and self._picture is not None:
@@ -139,7 +139,7 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.autoreset_mode = gymnasium.vector.AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
         self.single_action_space = self.descents.actions.space
-        self.single_observation_space = self.descents.shown.space
+        self.single_observation_space = self.descents.observation_space
         batch = gymnasium.vector.utils.batch_space
         self.action_space = batch(self.single_action_space, num_envs)
         self.observation_space = batch(self.single_observation_space, num_envs)
@@ -182,16 +182,16 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             raise gymnasium.error.ResetNeeded(
                 "An episode has ended. Call reset() with options['reset_mask']."
             )
-        terms, moved, terminated, truncated = d.step(actions)
-        over = terminated | truncated
+        terms, moved, terminated = d.step(actions)
+        over = terminated
         info: dict[str, Any] = {"reward_terms": terms, "_reward_terms": moved}
-        info |= {"cost": np.where(terminated & ~d.lanes.safe, 1.0, 0.0), "_cost": moved}
+        info |= {"cost": np.where(over & ~d.lanes.safe, 1.0, 0.0), "_cost": moved}
         if over.any():
             info |= {"safe": d.lanes.safe & over, "_safe": over}
             info |= {"failure_causes": np.where(over, d.lanes.failed, 0), "_failure_causes": over}
             for name, values in d.outcome().items():
                 info |= {name: np.where(over, values, 0.0), f"_{name}": over}
-        truncated = truncated | self._limit.reached(moved)
+        truncated = self._limit.reached(moved)
         over = terminated | truncated
         d.lanes.stop(over)
         if self.autoreset_mode is mode.NEXT_STEP:
@@ -216,14 +216,17 @@ class GuidanceEnv(DescentEnv):
 
     ## Action Space
 
-    ``Box(-1, 1, (3,))`` at 5 Hz: commanded thrust acceleration, ENU. East and north range from -A
-    to A, up from 0 to A, with A = thrust_max / dry_mass (5.45 m/s^2). Commands beyond the thrust
-    range or the maximum tilt of the scenario's approach are limited as for a guidance law.
-    ``env.unwrapped.descents.actions.action(acceleration)`` converts m/s^2 to an action.
+    ``Box(-1, 1, (3,))`` at 5 Hz: commanded thrust acceleration, ENU. East and north range from
+    -A / 2 to A / 2, up from 0 to A, with A = thrust_max / dry_mass (5.45 m/s^2). Action 0 is a
+    vertical thrust equal to the weight; between -1, 0 and 1 the acceleration is interpolated
+    linearly. Commands beyond the thrust range or the maximum tilt of the scenario's approach are
+    limited as for a guidance law. ``env.unwrapped.descents.actions.action(acceleration)`` converts
+    m/s^2 to an action.
 
     ## Observation Space
 
-    ``Box`` of float32 with these components in sequence (``observation=[...]`` selects others):
+    ``Box`` of float32 (32,), scaled for neural networks. With ``scaled=False`` it is (16,) in SI
+    units, with these components in sequence (``observation=[...]`` selects others):
 
     - ``position`` (3,): centre of mass relative to the target, ENU, m.
     - ``velocity`` (3,): velocity, ENU, m/s.
@@ -231,29 +234,39 @@ class GuidanceEnv(DescentEnv):
     - ``rate`` (3,): angular rate, body axes, rad/s.
     - ``thrust`` (1,): current thrust over mass, m/s^2.
     - ``propellant`` (1,): remaining propellant, kg.
+    - ``time_left`` (1,): time until the time limit, s.
 
-    ``time_left`` (1,), s, is also available. `lunarsim_envs.descent.observations.register` adds
-    custom components.
+    The scaled observation has x / far of all values x, then asinh(x / near) of all values. The
+    scales of position are far = 600 m and near = 3 m, of velocity 40 and 1 m/s, of attitude 1 and
+    0.1, of rate 0.5 and 0.1 rad/s, of thrust 4 and 1 m/s^2, of propellant 400 kg, of time 120 and
+    10 s. ``env.unwrapped.descents.physical(observation)`` returns the SI values.
+    `lunarsim_envs.descent.observations.register` adds custom components.
 
     ## Rewards
 
     The reward is the sum of the terms in ``info["reward_terms"]``:
 
-    - ``touchdown``: +1 for a touchdown within all limits, -1 for a crash or leaving the map.
-    - ``propellant``: -0.001 per kilogram.
-    - ``miss``: -0.01 per metre between a safe touchdown and the target, up to 50 m.
-    - ``severity``, ``excess``: penalties for a crash by its distance and speed, and by its
-      violation of the touchdown limits; both have zero weight by default.
+    - ``touchdown``: +10 for a touchdown within all limits, -4 for any other touchdown, -15 for a
+      flight without touchdown.
+    - ``propellant``: -0.002 per kilogram.
+    - ``miss``: -0.1 per metre between a safe touchdown and the target, up to 50 m.
+    - ``severity``: up to -6 for the distance of a crash from the target, relative to that of the
+      planned start.
+    - ``excess``: -0.2 ln(value / limit), at most -0.6, for each limit of speed, tilt and rate that
+      a crash exceeds.
     - ``shaping``: difference of a potential, which falls with the deviation of the velocity from
-      one that leads to the target with constant deceleration. Its discounted sum depends only on
-      the start state, if the learner uses the discount factor of the weights.
+      one that leads to the target with constant deceleration. It is 0 after the end, so the sum
+      over an episode depends only on the start state.
 
-    Apart from shaping, every crash returns less than any safe landing. Weights that violate this
-    are refused. The undiscounted return with shaping is higher for flying away than for landing:
-    train with the discount factor of the weights (0.99), and compare agents by the score, which
-    excludes shaping.
+    ``info["score"]`` at the end is the sum without shaping. Every safe landing has a higher score
+    than any crash, and every crash a higher score than any flight without touchdown; weights that
+    violate this are refused. From the same start, returns and scores rank flights in the same way.
 
-    ``info["cost"]``, for constrained methods, is 1 at a crash and 0 otherwise.
+    A discount factor per step depends on the action rate: 0.99 at 5 Hz is 0.95 per second, and
+    corresponds to 0.999 at 50 Hz.
+
+    ``info["cost"]``, for constrained methods, is 1 if the episode ends without a safe landing, and
+    0 otherwise.
 
     ## Starting State
 
@@ -275,10 +288,11 @@ class GuidanceEnv(DescentEnv):
 
     ## Episode End
 
-    The episode terminates at touchdown or below the map. The simulation evaluates the touchdown
-    (``info["safe"]``, ``info["failure_causes"]``). ``info`` then also has ``time_s``,
-    ``propellant_kg`` used and ``miss_m``, the horizontal distance from the target. The episode is
-    truncated at the time limit of the scenario (120 s). In a vector environment,
+    The episode terminates at touchdown, below the map, at 1.5 times the planned start distance from
+    the target, and at the time limit of the scenario (120 s). The simulation evaluates the
+    touchdown (``info["safe"]``, ``info["failure_causes"]``). ``info`` then also has ``time_s``,
+    ``propellant_kg`` used, ``miss_m``, the horizontal distance from the target, and ``score``. In a
+    vector environment,
     ``info["failure_causes"]`` has one bit for each limit in
     `lunarsim.core.touchdown.CAUSES`.
 
@@ -289,8 +303,10 @@ class GuidanceEnv(DescentEnv):
     - ``changes``: changed values by key, for example ``{"rocks.cover": 0.05}``.
     - ``rate_hz``: action rate, Hz.
     - ``observation``: names of the observation components.
-    - ``weights``: `lunarsim_envs.descent.rewards.DescentWeights`. Default: the table
-      [descent_reward] of the scenario.
+    - ``scaled``: whether the observation is scaled (default) or in SI units.
+    - ``weights``: `lunarsim_envs.descent.rewards.DescentWeights`, ``"dense"`` (default weights) or
+      ``"sparse"`` (1 for a safe landing, otherwise 0). Default: the table [descent_reward] of the
+      scenario.
     - ``render_mode``: ``"rgb_array"`` returns images of the descent plane with gauges; ``"human"``
       shows them in a window; None disables rendering. Vector environments do not render.
     - ``worlds``, ``world_seed``: number of worlds (simulated terrains with rocks) in the pool and
@@ -307,7 +323,7 @@ class GuidanceEnv(DescentEnv):
 
     ## Version History
 
-    - v0: first version.
+    - v1: first version.
     """
 
     guided, rate = True, 5.0
@@ -330,32 +346,33 @@ class ControlEnv(DescentEnv):
     ## Action Space
 
     ``Box(-1, 1, (4,))`` at 50 Hz: thrust from its minimum (-1) to its maximum (1), and torques
-    about the body axes as fractions of their maximum. The engine cannot be shut down before
+    about the body axes as fractions of their maximum. Thrust 0 is the weight without propellant;
+    between -1, 0 and 1 the thrust is interpolated linearly. The engine cannot be shut down before
     touchdown.
 
     ## Observation Space
 
-    Same as `lunarsim/Guidance-v0`.
+    Same as `lunarsim/Guidance-v1`.
 
     ## Rewards
 
-    Same as `lunarsim/Guidance-v0`.
+    Same as `lunarsim/Guidance-v1`.
 
     ## Starting State
 
-    Same as `lunarsim/Guidance-v0`.
+    Same as `lunarsim/Guidance-v1`.
 
     ## Episode End
 
-    Same as `lunarsim/Guidance-v0`.
+    Same as `lunarsim/Guidance-v1`.
 
     ## Arguments
 
-    Same as `lunarsim/Guidance-v0`.
+    Same as `lunarsim/Guidance-v1`.
 
     ## Version History
 
-    - v0: first version.
+    - v1: first version.
     """
 
     guided, rate = False, 50.0

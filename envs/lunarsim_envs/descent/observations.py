@@ -36,6 +36,9 @@ class ObservationComponent:
         Unit and description, for the documentation.
     of
         Function that returns the values of all n landers of a batch (n, size).
+    far, near
+        Scales of the scaled observation: typical magnitude of a flight, and resolution near the
+        target.
     """
 
     name: str
@@ -45,11 +48,13 @@ class ObservationComponent:
     high: float
     meaning: str
     of: Callable[[DescentBatch], Array]
+    far: float = 1.0
+    near: float = 1.0
 
 
 PARTS: dict[str, ObservationComponent] = {}
 # Default components of the observation.
-DEFAULT = ("position", "velocity", "attitude", "rate", "thrust", "propellant")
+DEFAULT = ("position", "velocity", "attitude", "rate", "thrust", "propellant", "time_left")
 
 
 def register(part: ObservationComponent) -> None:
@@ -65,6 +70,10 @@ def register(part: ObservationComponent) -> None:
         raise InputError(f"{part.name}.size", part.size, "must be 1 or more")
     if not part.low < part.high:
         raise InputError(f"{part.name}.low", part.low, f"must be less than high ({part.high})")
+    for name in ("far", "near"):
+        scale = getattr(part, name)
+        if not 0.0 < scale < np.inf:
+            raise InputError(f"{part.name}.{name}", scale, "must be positive and finite")
     PARTS[part.name] = part
 
 
@@ -98,17 +107,27 @@ def _left(lanes: DescentBatch) -> Array:
 
 for _part in (
     ObservationComponent(
-        "position", 3, "m", -FAR, FAR, "centre of mass relative to the target, ENU", _position
+        "position", 3, "m", -FAR, FAR, "centre of mass relative to the target, ENU", _position,
+        600.0, 3.0,
     ),
-    ObservationComponent("velocity", 3, "m/s", -FAR, FAR, "velocity, ENU", _velocity),
+    ObservationComponent("velocity", 3, "m/s", -FAR, FAR, "velocity, ENU", _velocity, 40.0, 1.0),
     ObservationComponent(
-        "attitude", 4, "", -1.0, 1.0, "quaternion, body axes to ENU, scalar last", _attitude
+        "attitude", 4, "", -1.0, 1.0, "quaternion, body axes to ENU, scalar last", _attitude, 1.0,
+        0.1,
     ),
-    ObservationComponent("rate", 3, "rad/s", -10.0, 10.0, "angular rate, body axes", _rate),
-    ObservationComponent("thrust", 1, "m/s^2", 0.0, 100.0, "current thrust over mass", _thrust),
-    ObservationComponent("propellant", 1, "kg", -1.0, FAR, "remaining propellant", _propellant),
-    ObservationComponent("time_left", 1, "s", 0.0, 1e5, "time until the time limit", _left),
-):
+    ObservationComponent(
+        "rate", 3, "rad/s", -10.0, 10.0, "angular rate, body axes", _rate, 0.5, 0.1
+    ),
+    ObservationComponent(
+        "thrust", 1, "m/s^2", 0.0, 100.0, "current thrust over mass", _thrust, 4.0, 1.0
+    ),
+    ObservationComponent(
+        "propellant", 1, "kg", -1.0, FAR, "remaining propellant", _propellant, 400.0, 400.0
+    ),
+    ObservationComponent(
+        "time_left", 1, "s", 0.0, 1e5, "time until the time limit", _left, 120.0, 10.0
+    ),
+):  # fmt: skip
     register(_part)
 
 
@@ -162,3 +181,39 @@ class ObservationLayout:
         # Twice as fast as `numpy.clip` for one lander.
         np.maximum(observation, self._low, out=observation)
         return np.minimum(observation, self._high, out=observation)
+
+
+class ObservationScaling:
+    """Scale observations for neural networks, in two ways.
+
+    A value x becomes x / far and asinh(x / near), with the scales of its component. The second one
+    resolves small values near the target and does not saturate. A scaled observation (2 size,) has
+    x / far of all values, then asinh(x / near) of all values.
+
+    Parameters
+    ----------
+    layout
+        Components of the observation in physical units.
+
+    Attributes
+    ----------
+    far, near
+        Scales of all values (size,).
+    """
+
+    def __init__(self, layout: ObservationLayout) -> None:
+        sizes = [part.size for part in layout.parts]
+        self.far = np.repeat([part.far for part in layout.parts], sizes).astype(np.float32)
+        self.near = np.repeat([part.near for part in layout.parts], sizes).astype(np.float32)
+        physical = layout.space
+        self.space = spaces.Box(self.scaled(physical.low), self.scaled(physical.high))
+
+    def scaled(self, physical: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return scaled observations (..., 2 size) of observations (..., size), SI."""
+        return np.concatenate(
+            (physical / self.far, np.arcsinh(physical / self.near)), axis=-1, dtype=np.float32
+        )
+
+    def physical(self, scaled: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the observations (..., size), SI, of scaled observations (..., 2 size)."""
+        return np.asarray(scaled[..., : len(self.far)] * self.far, np.float32)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -21,37 +21,51 @@ class DescentWeights(DescentReward):
     """Weights of the reward terms of descents, as in the table [descent_reward]."""
 
     @classmethod
+    def sparse(cls) -> DescentWeights:
+        """Return the weights of the sparse reward: 1 for a safe landing, otherwise 0."""
+        return cls(1.0, *(0.0 for _ in fields(cls)[1:]))
+
+    @classmethod
     def of(cls, scenario: Scenario) -> DescentWeights:
         """Return the weights in the table [descent_reward] of a scenario, or the defaults."""
         given = scenario.descent_reward
         return cls() if given is None else cls(**vars(given.make()))
 
     def check(self, propellant: float) -> None:
-        """Check that every safe landing returns more than any crash, apart from shaping.
+        """Check that scores rank safe landings over crashes, and crashes over no landing.
 
-        If the weight ``safe`` is too small for that, an `InputError` is raised. `propellant` is the
-        propellant capacity, kg.
+        If that is not so for all flights, an `InputError` is raised. `propellant` is the propellant
+        capacity, kg. Without penalties, a crash and no landing may have the same score.
         """
-        minimum = self.crash + self.propellant * propellant + self.miss * MAX_MISS_M
+        burnt = self.propellant * propellant
+        minimum = max(self.crash, self.no_landing) + burnt + self.miss * MAX_MISS_M
         if not self.safe > minimum:
             raise InputError(
                 "weights.safe", self.safe,
-                f"must be above {minimum:g}, otherwise a crash may have a higher total reward "
+                f"must be above {minimum:g}, otherwise another outcome may have a higher score "
                 "than a safe landing",
-                "This limit depends on the keys crash, propellant and miss of [descent_reward].",
+                "This limit depends on the other keys of [descent_reward], except shaping.",
+            )  # fmt: skip
+        excess = self.excess * len(k.MOTION_LIMITS) * k.MAX_EXCESS
+        maximum = self.crash - burnt - self.severity - excess
+        if not self.no_landing <= maximum:
+            raise InputError(
+                "weights.no_landing", self.no_landing,
+                f"must be at most {maximum:g}, otherwise a flight without touchdown may have a "
+                "higher score than a crash",
+                "This limit depends on the other keys of [descent_reward], except shaping.",
             )  # fmt: skip
 
 
 class Rewards:
     """Compute the reward terms of every step of n descents.
 
-    ``touchdown``, ``propellant``, ``miss``, ``severity`` and ``excess`` are the objective.
-    ``shaping`` is the discount factor times the potential after the step minus the potential
-    before it. The potential is 0 after a flight has ended; the discounted sum over an episode is
-    therefore minus the initial potential, which does not change the ranking of policies (Ng, Harada
-    and Russell, "Policy invariance under reward transformations", ICML 1999). The potential falls
-    with the deviation from a reference velocity (`_reward_kernels.reference_velocity`). A flight
-    that reaches the time limit has not ended, so its last potential counts.
+    ``touchdown``, ``propellant``, ``miss``, ``severity`` and ``excess`` are the objective; their
+    sum over an episode is the score. ``shaping`` is the potential after the step minus the
+    potential before it. The potential is 0 after a flight has ended, so the sum over an episode is
+    minus the initial potential: the undiscounted return ranks policies as the score does (Ng,
+    Harada and Russell, "Policy invariance under reward transformations", ICML 1999). The potential
+    falls with the deviation from a reference velocity (`_reward_kernels.reference_velocity`).
 
     Parameters
     ----------
@@ -59,6 +73,11 @@ class Rewards:
         Weights of the terms.
     lanes
         Batch of landers.
+
+    Attributes
+    ----------
+    score
+        Sum of the terms without shaping since the start of each flight (n,).
     """
 
     names = k.TERMS
@@ -71,14 +90,13 @@ class Rewards:
         self.params = k.RewardParams(
             k.Weights(**{name: float(weight) for name, weight in vars(weights).items()}),
             max(float(np.linalg.norm(start[:3])), 1.0),
-            max(float(np.linalg.norm(start[3:6])), 1.0),
             float(lander.com_height),
             float(lander.thrust_max / lander.wet_mass - dynamics.gravity),
             float(lander.vertical_speed_limit),
             float(lander.horizontal_speed_limit),
             np.array([getattr(lander, limit.limit) for limit in k.MOTION_LIMITS]),
         )
-        self._mass, self._potential = np.zeros((2, lanes.count))
+        self._mass, self._potential, self.score = np.zeros((3, lanes.count))
 
     def potential(self) -> Array:
         """Return the shaping potential of the current state of every lander (n,)."""
@@ -90,6 +108,7 @@ class Rewards:
         """Store mass and potential of the flights of `mask` (n,), which have just started."""
         self._mass[mask] = self.lanes.y[mask, 13]
         self._potential[mask] = self.potential()[mask]
+        self.score[mask] = 0.0
 
     def terms(self, moved: BoolArray) -> dict[str, Array]:
         """Return the reward terms (n,) of the last step by name.
@@ -99,6 +118,6 @@ class Rewards:
         lanes, terms = self.lanes, np.zeros((len(self.names), self.lanes.count))
         k.reward_terms(
             moved, lanes.y, lanes.target, lanes.ended, lanes.failed, lanes.touchdown_values,
-            self.params, self._mass, self._potential, terms,
+            self.params, self._mass, self._potential, self.score, terms,
         )  # fmt: skip
         return dict(zip(self.names, terms, strict=True))

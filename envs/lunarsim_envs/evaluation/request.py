@@ -20,8 +20,8 @@ from lunarsim_envs.sites.perception import PERCEPTIONS
 
 # Default scenario of each environment.
 _DEFAULTS = {
-    "lunarsim/Retarget-v0": default_scenario, "lunarsim/Guidance-v0": flat_scenario,
-    "lunarsim/Control-v0": flat_scenario,
+    "lunarsim/Retarget-v1": default_scenario, "lunarsim/Guidance-v1": flat_scenario,
+    "lunarsim/Control-v1": flat_scenario,
 }  # fmt: skip
 
 
@@ -51,7 +51,7 @@ def _environment_id(env_name: str) -> str:
 
 
 def _check_perception(perception: str, create_default: Any) -> None:
-    """Check the option ``--perception``, the source of hazard maps in ``Retarget-v0``.
+    """Check the option ``--perception``, the source of hazard maps in ``Retarget-v1``.
 
     If `perception` is not the name of such a source, or `create_default`, which creates the default
     scenario of the environment, is that of a descent environment, an `InputError` is raised.
@@ -62,7 +62,7 @@ def _check_perception(perception: str, create_default: Any) -> None:
         )
     if create_default is flat_scenario:
         raise InputError(
-            "--perception", perception, "applies only to Retarget-v0", "Omit this option."
+            "--perception", perception, "applies only to Retarget-v1", "Omit this option."
         )
 
 
@@ -96,7 +96,7 @@ def evaluation_study(
         raise InputError("--observation", given, f"does not apply to {name}", "Omit this option.")
     if "action" in arguments and own is not default_scenario:
         raise InputError(
-            "--action", ", ".join(arguments["action"]), "applies only to Retarget-v0",
+            "--action", ", ".join(arguments["action"]), "applies only to Retarget-v1",
             "Omit this option.",
         )  # fmt: skip
     if "perception" in arguments:

@@ -28,7 +28,7 @@ def agents_table(metrics: list[AgentMetrics], max_distance: float) -> Table:
     """Return the table of metrics that `lunarsim evaluate` prints, one row per agent.
 
     `max_distance` is the maximum distance of an on-target landing from the target, m. Columns
-    without any value, such as the miss distance in ``Retarget-v0``, are omitted.
+    without any value, such as the miss distance in ``Retarget-v1``, are omitted.
     """
     headings = (
         "Agent", "Episodes", "Landed safely [95 % CI]", f"Safe within {max_distance:g} m",

@@ -377,6 +377,7 @@ def fly(thread_slice, y, rate, width, dt, time_limit, vehicle, terrains, flights
         block_flights = d.Flights(
             flights.world[low:high], flights.time[low:high], flights.ended[low:high],
             flights.failed[low:high], flights.touchdown_values[low:high],
+            flights.target[low:high], flights.max_distance[low:high],
         )  # fmt: skip
         while True:
             flying = 0

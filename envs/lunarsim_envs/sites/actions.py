@@ -1,4 +1,4 @@
-"""Build actions of ``Retarget-v0`` from named components, one integer each.
+"""Build actions of ``Retarget-v1`` from named components, one integer each.
 
 `register` adds custom components, which can then be named in an environment's `action`.
 """
@@ -34,7 +34,7 @@ def _all_available(inputs: SiteInputs, count: int) -> BoolArray:
 
 @dataclass(frozen=True)
 class ActionComponent:
-    """One component of the action of ``Retarget-v0``, such as the choice of a site.
+    """One component of the action of ``Retarget-v1``, such as the choice of a site.
 
     Attributes
     ----------

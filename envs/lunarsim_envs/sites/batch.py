@@ -133,6 +133,7 @@ class SiteDescentBatch(DescentBatch):
 
     levels: ClassVar[Array] = np.array(SAFETY_LEVELS, np.float32)
     keeps_maps: ClassVar[bool] = True
+    max_distance_ratio: ClassVar[float] = np.inf
 
     def __init__(
         self, count: int, scenario: Scenario, pool: SiteWorldPool, *, errors: m.MapErrorModel,

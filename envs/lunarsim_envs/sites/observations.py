@@ -1,4 +1,4 @@
-"""Build observations of ``Retarget-v0`` from named components, one array each.
+"""Build observations of ``Retarget-v1`` from named components, one array each.
 
 `register` adds custom components, which can then be named in an environment's `observation`.
 """
@@ -28,7 +28,7 @@ FAR = 5000.0
 
 @dataclass(frozen=True)
 class SiteObservationComponent:
-    """One component of the observation of ``Retarget-v0``, such as the hazard map.
+    """One component of the observation of ``Retarget-v1``, such as the hazard map.
 
     Attributes
     ----------

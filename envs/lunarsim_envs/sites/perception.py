@@ -1,4 +1,4 @@
-"""Create flights and batches of ``Retarget-v0`` for each kind of perception."""
+"""Create flights and batches of ``Retarget-v1`` for each kind of perception."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def create_flight(
     perception: str, scenario: Scenario, worlds: int, world_seed: int, surrogate: Any,
     covers: Sequence[float] = (),
 ) -> SiteFlight:  # fmt: skip
-    """Create the simulated flight of a single ``Retarget-v0`` environment.
+    """Create the simulated flight of a single ``Retarget-v1`` environment.
 
     The arguments are described in `RetargetEnv`. The full simulation flies ``"onboard"``,
     ``"shadows"``, ``"quadtree"`` and ``"fused"``; kernels fly the other perceptions.

@@ -1,4 +1,4 @@
-"""Collect the inputs of observations and actions of ``Retarget-v0`` as arrays."""
+"""Collect the inputs of observations and actions of ``Retarget-v1`` as arrays."""
 
 from __future__ import annotations
 

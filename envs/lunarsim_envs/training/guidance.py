@@ -1,4 +1,4 @@
-"""Train an agent of ``Guidance-v0`` by PPO, with checkpoints.
+"""Train an agent of ``Guidance-v1`` by PPO, with checkpoints.
 
 A resumed training gives bitwise the same result as an uninterrupted one. Checkpoints contain the
 agent, its optimiser, the flights in progress and all random generators.
@@ -23,11 +23,10 @@ from stable_baselines3 import PPO
 from lunarsim.atomic_files import atomic_write_text
 from lunarsim.errors import InputError
 from lunarsim_envs.agents.network import Network
-from lunarsim_envs.training.features import TwoScaleFeatures
 from lunarsim_envs.training.sb3_vec_env import Sb3VecEnv
-from lunarsim_envs.training.settings import PpoSettings, scales
+from lunarsim_envs.training.settings import PpoSettings
 
-ENV = "lunarsim_envs:lunarsim/Guidance-v0"
+ENV = "lunarsim_envs:lunarsim/Guidance-v1"
 # Number of evaluation flights, and their seed, which no training uses.
 _LOOKED_AT, _LOOK_SEED = 300, 10**9
 
@@ -38,7 +37,7 @@ def create_batch_env(
     """Create the vector environment of a training, with `count` parallel flights."""
     return gymnasium.make_vec(
         ENV, num_envs=count, vectorization_mode="vector_entry_point", autoreset_mode="SameStep",
-        weights=settings.weights, changes=settings.changes,
+        changes=settings.changes,
     )  # fmt: skip
 
 
@@ -49,14 +48,14 @@ def policy_network(model: PPO) -> Network:
     policy = model.policy
     layers = [layer for layer in policy.mlp_extractor.policy_net if hasattr(layer, "weight")]
     layers.append(policy.action_net)
-    features = policy.features_extractor
+    scaling = flown.scaling
 
     def array(tensor: torch.Tensor) -> np.ndarray[Any, np.dtype[np.float32]]:
         return np.asarray(tensor.detach().numpy(), np.float32)
 
     return Network(
-        array(features.far), array(features.near), tuple(array(one.weight) for one in layers),
-        tuple(array(one.bias) for one in layers), "Guidance-v0", parts, 1.0 / flown.period,
+        scaling.far, scaling.near, tuple(array(one.weight) for one in layers),
+        tuple(array(one.bias) for one in layers), "Guidance-v1", parts, 1.0 / flown.period,
     )  # fmt: skip
 
 
@@ -97,7 +96,7 @@ def evaluate_held_out(network: Network, settings: PpoSettings) -> HeldOutResult:
 
 
 class TrainingRun:
-    """PPO training of a ``Guidance-v0`` agent, with checkpoints in a folder.
+    """PPO training of a ``Guidance-v1`` agent, with checkpoints in a folder.
 
     Parameters
     ----------
@@ -140,33 +139,15 @@ class TrainingRun:
 
     def _new(self) -> PPO:
         s = self.settings
-        batch = create_batch_env(s, s.lanes)
-        descents = batch.unwrapped.descents  # type: ignore[attr-defined]
-        env = Sb3VecEnv(batch, s.starts(descents.lanes.craft.start))
+        env = Sb3VecEnv(create_batch_env(s, s.lanes))
         env.seed(s.seed)
-        far, near = scales(tuple(part.name for part in descents.shown.parts))
-        model = PPO(
-            "MlpPolicy", env, n_steps=s.horizon, batch_size=s.batch, n_epochs=s.epochs,
-            gamma=s.discount, gae_lambda=s.gae_lambda, seed=s.seed, device="cpu",
-            policy_kwargs={
-                "features_extractor_class": TwoScaleFeatures,
-                "features_extractor_kwargs": {"far": far, "near": near},
-                "net_arch": [s.width, s.width], "log_std_init": s.initial_log_std,
-            },
-        )  # fmt: skip
-        # The initial action is slightly less than hover thrust: climbing flights teach nothing.
-        sinking = [0.0, 0.0, s.initial_thrust_to_weight * descents.lanes.craft.dynamics.gravity]
-        with torch.no_grad():
-            model.policy.action_net.bias[:] = torch.as_tensor(descents.actions.action(sinking))
-        return model
+        return PPO(
+            "MlpPolicy", env, n_steps=s.horizon, batch_size=s.batch, seed=s.seed, device="cpu"
+        )
 
     def advance(self) -> None:
         """Fly `horizon` steps in all parallel environments and update the agent once."""
         start, s = time.perf_counter(), self.settings
-        rate = s.learning_rate(self.done)
-        self.model.lr_schedule = lambda _: rate
-        with torch.no_grad():
-            self.model.policy.log_std.clamp_(max=s.max_log_std(self.done))
         self.model.learn(s.lanes * s.horizon, reset_num_timesteps=False)
         self.done += 1
         self.seconds += time.perf_counter() - start
@@ -215,7 +196,7 @@ def train(
     settings: PpoSettings, out: Path, interval: int,
     report: Callable[[TrainingRun, HeldOutResult], None],
 ) -> TrainingRun:  # fmt: skip
-    """Train a ``Guidance-v0`` agent to the end, with evaluations and checkpoints.
+    """Train a ``Guidance-v1`` agent to the end, with evaluations and checkpoints.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
     Parameters
     ----------
     batch
-        Vector environment with ``autoreset_mode="SameStep"``. For ``Retarget-v0``, the masks that
+        Vector environment with ``autoreset_mode="SameStep"``. For ``Retarget-v1``, the masks that
         MaskablePPO needs are available, also with several action components.
     starts
         Options of `reset`; each applies to an equal number of consecutive lanes. Default: all lanes

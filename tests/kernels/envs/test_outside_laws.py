@@ -69,7 +69,7 @@ def test_simulation_and_single_environments_fly_the_law(scenario):
     flight = lunarsim.fly(scenario.changed(mappers={}, tasking={}), policy="no-divert", seed=1)
     assert flight.outcome.touchdown.vertical_speed < 3.0
     env = gymnasium.make(
-        "lunarsim_envs:lunarsim/Retarget-v0", scenario=scenario, perception="surrogate", worlds=2,
+        "lunarsim_envs:lunarsim/Retarget-v1", scenario=scenario, perception="surrogate", worlds=2,
         world_seed=5, surrogate=made_up(scenario),
     )  # fmt: skip
     _, info = env.reset(seed=3)

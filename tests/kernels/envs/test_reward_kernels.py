@@ -16,11 +16,11 @@ COUNT = 4000
 MOTION = [VALUES.index(name) for name in ("vertical_speed", "horizontal_speed", "tilt", "rate")]
 WEIGHTS = [
     DescentWeights(
-        safe=7.0, crash=-2.0, propellant=0.003, miss=0.04, severity=0.7, excess=0.3, shaping=1.3,
-        discount=0.9,
+        safe=7.0, crash=-2.0, no_landing=-9.0, propellant=0.003, miss=0.04, severity=0.7,
+        excess=0.3, shaping=1.3,
     ),
     DescentWeights(),
-    DescentWeights(safe=8, crash=-1, shaping=0),  # whole numbers
+    DescentWeights(safe=9, crash=-1, shaping=0),  # whole numbers
 ]  # fmt: skip
 
 
@@ -64,7 +64,7 @@ def test_terms_are_those_of_numpy(lanes, weights):
     )
     assert rewards.potential() == pytest.approx(first, rel=1e-14)
     before = mass, np.where(started, first, 0.0)
-    landed, lost = lanes.ended == LANDED, lanes.ended == LOST
+    landed, lost = lanes.ended == LANDED, (lanes.ended == LOST) | (lanes.ended == LATE)
     arguments = (
         lanes.target, landed, lost, landed & (lanes.failed == 0), lanes.touchdown_values[:, MOTION],
     )  # fmt: skip
