@@ -24,12 +24,13 @@ from lunarsim.cli_common import (
     wide_console,
 )
 from lunarsim.errors import InputError, check_folder
+from lunarsim.rng import SPLITS
 
 
 @click.command()
 @click.argument("env")
 @click.option(
-    "--agent", "agents", multiple=True, required=True, metavar="NAME|FILE|module:Name",
+    "--agent", "agents", multiple=True, required=True, metavar="[NAME=]AGENT",
     help="Agent to evaluate, in one of the forms listed above. Repeat the option for each agent.",
 )  # fmt: skip
 @click.option(
@@ -64,6 +65,18 @@ from lunarsim.errors import InputError, check_folder
     "time-to-go). Repeat the option for each component.",
 )  # fmt: skip
 @click.option(
+    "--split", type=click.Choice(SPLITS), default=None, show_default="test",
+    help="Split of the worlds. No world of one split is a world of another.",
+)  # fmt: skip
+@click.option(
+    "--worlds", type=IntRange(min=1), default=None, show_default="16 in Retarget-v1, otherwise 1",
+    help="Number of worlds (simulated terrains with rocks) of the pool.",
+)  # fmt: skip
+@click.option(
+    "--world-seed", type=IntRange(min=0), default=None, show_default="0",
+    help="Root seed of the worlds of the pool.",
+)  # fmt: skip
+@click.option(
     "--episodes", type=IntRange(min=1), default=100, show_default=True,
     help="Number of episodes per agent.",
 )  # fmt: skip
@@ -84,7 +97,8 @@ from lunarsim.errors import InputError, check_folder
 def evaluate(
     env: str, agents: tuple[str, ...], trust_pickle: bool, scenario: Path | None,
     values: tuple[str, ...], perception: str | None, parts: tuple[str, ...],
-    decided: tuple[str, ...], episodes: int, seed: int, jobs: int, within: float, out: Path | None,
+    decided: tuple[str, ...], split: str | None, worlds: int | None, world_seed: int | None,
+    episodes: int, seed: int, jobs: int, within: float, out: Path | None,
 ) -> None:  # fmt: skip
     """Compare agents on identical episodes of an environment.
 
@@ -100,8 +114,10 @@ def evaluate(
       FILE.zip                            Stable-Baselines3 model; needs --trust-pickle
       module:Name                         custom guidance law or policy, or any
                                         callable: observation, info -> action
+    A name before the agent, as in wide=out/wide.npz, is its name in the tables.
 
-    Episode i has the same world, start state and noise for every agent. The score is the return
+    Episode i has the same world, start state and noise for every agent. Worlds are those of the
+    split "test", which environments do not fly unless they are asked to. The score is the return
     without shaping rewards. The first table gives fractions with 95 % Wilson intervals and means
     with bootstrap intervals. The second gives paired differences. Their intervals (Newcombe,
     bootstrap) hold for one pair each. The p-values (McNemar test, t-test) are corrected for all
@@ -123,7 +139,8 @@ def evaluate(
         raise InputError("--within", within, "must be finite")
     if out is not None:
         check_folder(out)
-    given: dict[str, Any] = {} if perception is None else {"perception": perception}
+    pool = {"perception": perception, "split": split, "worlds": worlds, "world_seed": world_seed}
+    given: dict[str, Any] = {name: value for name, value in pool.items() if value is not None}
     given |= {"observation": list(parts)} if parts else {}
     given |= {"action": list(decided)} if decided else {}
     allow_named_modules(*values)

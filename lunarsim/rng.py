@@ -36,6 +36,19 @@ def calibration_seed(root: int, flight: int) -> np.random.SeedSequence:
     return np.random.SeedSequence(root, spawn_key=(zlib.crc32(b"calibration"), flight))
 
 
+# Splits of the worlds of environments. No world of one split is a world of another.
+SPLITS = ("train", "validation", "test")
+
+
+def world_seed(root: int, world: int, split: str = "train") -> np.random.SeedSequence:
+    """Return the seed sequence of world number `world` of a pool with root seed `root`.
+
+    `split` is one of `SPLITS`. World k of the split "train" is that of flight k of a campaign.
+    """
+    own = () if split == "train" else (zlib.crc32(split.encode()),)
+    return np.random.SeedSequence(root, spawn_key=(*own, world))
+
+
 def design_seed(root: int) -> np.random.SeedSequence:
     """Return the seed sequence of a design of experiments, which no flight uses.
 

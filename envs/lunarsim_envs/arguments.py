@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from lunarsim.errors import InputError
+from lunarsim.rng import SPLITS
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.changes import with_values
 from lunarsim.scenario.shipped import found
@@ -75,6 +76,13 @@ def checked_covers(covers: Any) -> tuple[float, ...]:
     if not listed or not all(isinstance(c, kinds) and not isinstance(c, bool) for c in covers):
         raise InputError("covers", covers, "must be a list of fractions, such as [0.02, 0.1]")
     return tuple(float(one) for one in covers)
+
+
+def checked_split(split: Any) -> str:
+    """Return the name of a split of worlds; an unknown name raises an `InputError`."""
+    if split not in SPLITS:
+        raise InputError("split", split, f"must be one of {', '.join(SPLITS)}")
+    return str(split)
 
 
 def checked_bool(field: str, value: Any) -> bool:

@@ -20,6 +20,7 @@ from lunarsim_envs.arguments import (
     checked_bool,
     checked_int,
     checked_options,
+    checked_split,
     checked_weights,
     scenario_argument,
 )
@@ -211,8 +212,10 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     - ``surrogate``: file of a custom surrogate from ``scenarios/learning/fit_surrogate.py``.
     - ``observation``, ``action``: names of the components. Default action: ``["site"]``.
     - ``worlds``, ``world_seed``: with kernels, number of worlds in the pool and their root seed
-      (defaults: 16 and 0). The cache of campaigns keeps the true maps. ``lunarsim evaluate`` uses
-      the defaults: train with another ``world_seed`` to evaluate on held-out worlds.
+      (defaults: 16 and 0). The cache of campaigns keeps the true maps.
+    - ``split``: ``"train"`` (default), ``"validation"`` or ``"test"``. No world of one split is a
+      world of another, for any seed. ``lunarsim evaluate`` flies ``"test"`` by default. Measured
+      terrain is the same in all splits; rocks differ.
     - ``covers``: additional rock covers for ``reset(options={"cover": ...})``. The pool has
       ``worlds`` worlds for each cover.
     - ``weights``: `lunarsim_envs.rewards.RewardWeights`, ``"dense"`` (default weights) or
@@ -251,6 +254,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         changes: Mapping[str, Any] | None = None,
         worlds: int = 16,
         world_seed: int = 0,
+        split: str = "train",
         covers: Sequence[float] = (),
         surrogate: Any = None,
         views: bool = False,
@@ -283,7 +287,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         self.perception = perception
         self.actions = SiteActions(action)
         self.flight = create_flight(
-            perception, self.scenario, worlds, world_seed, surrogate, covers
+            perception, self.scenario, worlds, world_seed, surrogate, covers,
+            checked_split(split),
         )
         self.shown = SiteObservationLayout(observation)
         self.action_space = self.actions.space

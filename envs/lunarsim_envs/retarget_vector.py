@@ -17,6 +17,7 @@ from lunarsim_envs.arguments import (
     check_no_render_mode,
     checked_int,
     checked_options,
+    checked_split,
     checked_weights,
 )
 from lunarsim_envs.descent.batch import FLYING
@@ -48,7 +49,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         num_envs: int = 1,
         autoreset_mode: str | gymnasium.vector.AutoresetMode = "NextStep",
         scenario: Scenario | str | Path | None = None,
-        weights: RewardWeights | None = None,
+        weights: RewardWeights | str | None = None,
         *,
         perception: str = "surrogate",
         observation: Sequence[str] = DEFAULT,
@@ -56,6 +57,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         changes: Mapping[str, Any] | None = None,
         worlds: int = 16,
         world_seed: int = 0,
+        split: str = "train",
         covers: Sequence[float] = (),
         surrogate: Any = None,
         render_mode: None = None,
@@ -67,7 +69,8 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.scenario = retarget_scenario(scenario, changes)
         self.actions = SiteActions(action)
         self.lanes = create_batch(
-            num_envs, perception, self.scenario, worlds, world_seed, surrogate, covers
+            num_envs, perception, self.scenario, worlds, world_seed, surrogate, covers,
+            checked_split(split),
         )
         self.weights = checked_weights(weights, RewardWeights) or RewardWeights.of(self.scenario)
         self._lander = self.scenario.vehicle.make()

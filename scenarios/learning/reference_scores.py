@@ -24,8 +24,8 @@ from lunarsim_envs.evaluation.episodes import EvaluationStudy
 from lunarsim_envs.evaluation.parallel import fly
 from lunarsim_envs.evaluation.results import AgentMetrics, agent_metrics
 
-# The root seed of the worlds for site selection is not used in any training.
-_WORLDS = {"worlds": 24, "world_seed": 7001, "observation": ["to_go"]}
+# Pool for site selection; no training flies a world of the split "test".
+_WORLDS = {"worlds": 24, "split": "test", "observation": ["to_go"]}
 POLICIES = ("no-divert", "safest", "nearest-safe", "fuel-aware", "few-sites")
 AGENTS = {
     "Guidance-v1": ("zero", "random", "hover", "polynomial", "apollo", "optimal", "ppo"),
@@ -39,7 +39,7 @@ def study_of(name: str, seed: int) -> EvaluationStudy:
     """Return the settings of the evaluation in an environment; `name` is in `AGENTS`."""
     env, _, perception = name.partition(", ")
     if not perception:
-        return EvaluationStudy(f"lunarsim/{env}", flat_scenario(), {}, seed)
+        return EvaluationStudy(f"lunarsim/{env}", flat_scenario(), {"split": "test"}, seed)
     few = Scenario.load(found(Path("few_sites")))
     return EvaluationStudy(f"lunarsim/{env}", few, _WORLDS | {"perception": perception}, seed)
 

@@ -1,4 +1,4 @@
-"""Fly ``Guidance-v1`` with the guidance laws of the onboard computer."""
+"""Fly ``Guidance-v1`` and ``Control-v1`` with the guidance laws of the onboard computer."""
 
 from __future__ import annotations
 
@@ -9,9 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.core.guidance import fallback_time
-from lunarsim.frames import attitude_from_thrust
+from lunarsim.frames import (
+    attitude_from_thrust,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_rotation_vector,
+)
 from lunarsim.messages.briefing import Briefing, FlightSoftware, InitialStateEstimate
 from lunarsim.models.gravity import UniformGravity
+from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.guidance.contract import PlansArrival
 from lunarsim.onboard.guidance.vertical import descent_law
 from lunarsim.onboard.navigation.estimate import Estimate
@@ -21,21 +27,24 @@ from lunarsim.typing import Array
 from lunarsim_envs.agents.agent_interface import incompatible_agent_error
 from lunarsim_envs.descent.baseline import PolynomialGuidance
 from lunarsim_envs.descent.core import DescentEnvCore
-from lunarsim_envs.descent.env import GuidanceEnv
+from lunarsim_envs.descent.env import DescentEnv, GuidanceEnv
 
 # Observation components that a law needs.
 _NEEDED = ("position", "velocity", "attitude", "rate", "propellant")
 
 
-def _descent_core(agent_name: str, env: gymnasium.Env[Any, Any]) -> DescentEnvCore:
-    """Return the simulated batch of a ``Guidance-v1`` environment for an agent.
+def _descent_core(
+    agent_name: str, env: gymnasium.Env[Any, Any], kind: type[DescentEnv] = DescentEnv
+) -> DescentEnvCore:
+    """Return the simulated batch of a descent environment of a `kind` for an agent.
 
     If the environment is another one, or its observation lacks a component that guidance laws need,
     an `InputError` with `agent_name` is raised.
     """
     flown = env.unwrapped
-    if not isinstance(flown, GuidanceEnv):
-        raise incompatible_agent_error(agent_name, env, "Guidance-v1")
+    if not isinstance(flown, kind):
+        needed = "Guidance-v1" if kind is GuidanceEnv else "Guidance-v1 or Control-v1"
+        raise incompatible_agent_error(agent_name, env, needed)
     missing = [part for part in _NEEDED if part not in flown.descents.shown.places]
     if missing:
         raise incompatible_agent_error(agent_name, env, f"the observation component {missing[0]!r}")
@@ -65,12 +74,14 @@ class GuidanceLawAgent:
     """Fly the approach with a guidance law, then the scenario's terminal descent.
 
     Phases, time-to-go and limits are as in the onboard computer; the observation replaces
-    navigation. The law is evaluated at every step of the environment, not once per control cycle.
+    navigation. In ``Control-v1``, the scenario's attitude control law follows the commanded
+    attitude. Both laws are evaluated at every step of the environment.
 
     Parameters
     ----------
     env
-        ``Guidance-v1`` with position, velocity, attitude, rate and propellant in its observation.
+        ``Guidance-v1`` or ``Control-v1`` with position, velocity, attitude, rate and propellant in
+        its observation.
     kind
         Kind of guidance law, as listed by `lunarsim parts guidance`. The scenario's settings apply
         if the kind is that of the scenario, otherwise the default settings of the kind.
@@ -138,7 +149,7 @@ class GuidanceLawAgent:
         return Estimate(time, position, velocity, attitude, rate, mass, np.zeros((9, 9)))
 
     def act(self, observation: Any, info: dict[str, Any]) -> NDArray[np.float32]:
-        """Return the action (3,) closest to the acceleration that the law commands.
+        """Return the action (3,) or (4,) closest to what the laws command.
 
         The first call of an episode also builds the laws. Each call advances the agent's clock by
         one action period.
@@ -157,7 +168,25 @@ class GuidanceLawAgent:
             if planned is not None:
                 self._arrival = planned
         self._time += self._descents.period
-        return self._descents.actions.action(wanted)
+        return self._descents.actions.action(self._physical(wanted, estimate))
+
+    def _physical(self, wanted: Array, estimate: Estimate) -> Array:
+        """Return the command for a thrust acceleration `wanted` (3,), m/s^2.
+
+        It is the acceleration in ``Guidance-v1``, and thrust and torques (4,), N and N m, in
+        ``Control-v1``.
+        """
+        craft, lander = self._descents.lanes.craft, self._lander
+        if self._descents.lanes.guided:
+            return wanted
+        command = thrust_to_command(wanted, estimate.mass, lander, craft.heading, craft.max_tilt)
+        error = quat_to_rotation_vector(
+            quat_multiply(quat_conjugate(estimate.attitude), command.attitude)
+        )
+        full = (estimate.mass - lander.dry_mass) / lander.propellant_mass
+        dry, loaded = craft.dynamics.inertia
+        torque = self._software.control.torque(error, estimate.rate, dry + full * (loaded - dry))
+        return np.array([command.thrust, *torque])
 
 
 class PolynomialLawAgent:
@@ -171,7 +200,7 @@ class PolynomialLawAgent:
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
-        self._law = PolynomialGuidance(_descent_core("polynomial", env))
+        self._law = PolynomialGuidance(_descent_core("polynomial", env, GuidanceEnv))
 
     def begin(self, rng: np.random.Generator) -> None:
         """Do nothing: the agent has no memory and is deterministic."""

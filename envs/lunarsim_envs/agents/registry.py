@@ -46,16 +46,29 @@ def known_agents() -> dict[str, str]:
     return names | dict.fromkeys(kinds("policy"), "policy")
 
 
+def _named(given: str) -> tuple[str, str]:
+    """Return the name before "=" (empty without one) and the agent after it.
+
+    A folder before "=" belongs to the path of a file.
+    """
+    name, equals, agent = given.partition("=")
+    return (name, agent) if equals and "/" not in name else ("", given)
+
+
 def label(agent: str) -> str:
     """Return the name of an agent for tables, from its file, name or ``module:Name``.
 
-    Files lose their folder and suffix, classes their module.
+    ``NAME=`` before the agent sets its name. Otherwise files lose their folder and suffix, classes
+    their module.
 
     Examples
     --------
-    >>> label("out/ppo/model.zip"), label("my_package.agents:Careful")
-    ('model', 'Careful')
+    >>> label("out/ppo/model.zip"), label("my_package.agents:Careful"), label("wide=out/model.zip")
+    ('model', 'Careful', 'wide')
     """
+    name, agent = _named(agent)
+    if name:
+        return name
     if _is_file(agent):
         return Path(agent).stem
     return agent.rpartition(":")[2]
@@ -75,6 +88,7 @@ def check(agent: str, *, trust_pickle: bool = False) -> None:
     InputError
         If the name or file does not exist, or the file is not permitted.
     """
+    _, agent = _named(agent)
     if _is_file(agent):
         if not Path(agent).is_file():
             raise InputError("--agent", agent, "must be an existing file")
@@ -98,7 +112,7 @@ def agent_of(agent: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = F
     Parameters
     ----------
     agent
-        Name from `known_agents`, network file (``.npz``, ``.onnx``), Stable-Baselines3 file
+        Optionally ``NAME=``, which sets the name in tables, then: name from `known_agents`, network file (``.npz``, ``.onnx``), Stable-Baselines3 file
         (``.zip``), or ``module:Name`` of a callable (`custom_agents.custom_agent`), a guidance law
         or a policy.
     env
@@ -112,6 +126,7 @@ def agent_of(agent: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = F
         If there is no such agent, or it cannot fly this environment.
     """
     check(agent, trust_pickle=trust_pickle)
+    _, agent = _named(agent)
     if _is_file(agent):
         path = Path(agent)
         if path.suffix == ".npz":

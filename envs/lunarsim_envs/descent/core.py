@@ -19,6 +19,7 @@ from lunarsim_envs.arguments import (
     checked_bool,
     checked_covers,
     checked_int,
+    checked_split,
     checked_weights,
     scenario_argument,
 )
@@ -67,6 +68,7 @@ class DescentEnvArguments(TypedDict, total=False):
     weights: DescentWeights | str | None
     worlds: int
     world_seed: int
+    split: str
     covers: Sequence[float]
     privileged: bool
 
@@ -82,7 +84,7 @@ class DescentEnvCore:
         Number of landers n; None for a single environment with actions (size,).
     guided
         Whether actions are thrust accelerations (true), or thrust and torques (false).
-    scenario, changes, rate_hz, observation, scaled, weights, worlds, world_seed, covers, privileged
+    scenario, changes, rate_hz, observation, scaled, weights, worlds, world_seed, split, covers, privileged
         Arguments of the environment, described in `env.GuidanceEnv`.
     """
 
@@ -99,6 +101,7 @@ class DescentEnvCore:
         weights: DescentWeights | str | None = None,
         worlds: int = 1,
         world_seed: int = 0,
+        split: str = "train",
         covers: Sequence[float] = (),
         privileged: bool = False,
     ) -> None:
@@ -119,7 +122,9 @@ class DescentEnvCore:
         self.shown = ObservationLayout(observation)
         self.scaling = ObservationScaling(self.shown) if scaled else None
         self.actions = Actions(craft.dynamics.lander, craft.dynamics.gravity, guided=guided)
-        pool = WorldPool.of(self.scenario, worlds, world_seed, checked_covers(covers))
+        pool = WorldPool.of(
+            self.scenario, worlds, world_seed, checked_covers(covers), checked_split(split)
+        )
         self.lanes = DescentBatch(count, craft, pool, guided=guided, rate=rate_hz)
         check_start_height(craft.start, self.lanes)
         self.rewards = Rewards(weights or DescentWeights.of(self.scenario), self.lanes)

@@ -312,6 +312,8 @@ class GuidanceEnv(DescentEnv):
     - ``worlds``, ``world_seed``: number of worlds (simulated terrains with rocks) in the pool and
       their root seed (defaults: 1 and 0). Each flight uses one of them. The terrain is a raster
       with a grid spacing of 0.1 m around the targets.
+    - ``split``: ``"train"`` (default), ``"validation"`` or ``"test"``. No world of one split is a
+      world of another, for any seed. ``lunarsim evaluate`` flies ``"test"`` by default.
     - ``covers``: additional rock covers for ``reset(options={"cover": ...})``. The pool has
       ``worlds`` worlds for each cover.
     - ``privileged``: adds ``info["privileged"]`` (28,) for asymmetric critics: the true state with

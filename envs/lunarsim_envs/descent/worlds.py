@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid, format_bytes
-from lunarsim.rng import RandomStreams, flight_seed
+from lunarsim.rng import RandomStreams, world_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.mission import check_target_area
 from lunarsim.simulation.worlds import build_world
@@ -54,7 +54,12 @@ class WorldPool:
 
     @classmethod
     def of(
-        cls, scenario: Scenario, count: int, seed: int, covers: Sequence[float] = ()
+        cls,
+        scenario: Scenario,
+        count: int,
+        seed: int,
+        covers: Sequence[float] = (),
+        split: str = "train",
     ) -> WorldPool:
         """Generate the worlds of a scenario.
 
@@ -63,10 +68,12 @@ class WorldPool:
         scenario
             Scenario with terrain, rocks and target area.
         count, seed
-            Number of worlds per cover, and root seed. World k is the world of flight k in a
-            campaign with this seed.
+            Number of worlds per cover, and root seed. World k of the split "train" is the world of
+            flight k in a campaign with this seed.
         covers
             Additional rock covers, area fractions.
+        split
+            Split of the worlds, one of `lunarsim.rng.SPLITS`.
 
         Raises
         ------
@@ -77,7 +84,7 @@ class WorldPool:
         if count < 1:
             raise InputError("worlds", count, "must be 1 or more")
         worlds = (
-            build_world(one, RandomStreams(flight_seed(seed, k)))
+            build_world(one, RandomStreams(world_seed(seed, k, split)))
             for one in scenarios_by_cover(scenario, covers)
             for k in range(count)
         )

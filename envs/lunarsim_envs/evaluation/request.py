@@ -101,6 +101,14 @@ def evaluation_study(
         )  # fmt: skip
     if "perception" in arguments:
         _check_perception(arguments["perception"], own)
+    for argument in ("split", "worlds", "world_seed"):
+        if argument in arguments and own is None:
+            raise InputError(
+                f"--{argument.replace('_', '-')}", arguments[argument], f"does not apply to {name}",
+                "Omit this option.",
+            )  # fmt: skip
+    if own is not None:
+        arguments = {"split": "test"} | arguments
     flown: Scenario | None = None
     if scenario is not None:
         flown = Scenario.load(found(scenario))

@@ -12,6 +12,7 @@ from lunarsim.grid import Grid
 from lunarsim.onboard.hazards import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies import Candidates, Decision, Observation
+from lunarsim.rng import SPLITS
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.typing import Array
@@ -93,9 +94,13 @@ class SiteFlight(Protocol):
 
 
 class OnboardFlight:
-    """A flight by the full simulation, with mappers and navigation of its scenario."""
+    """A flight by the full simulation, with mappers and navigation of its scenario.
 
-    def __init__(self, scenario: Scenario) -> None:
+    `split` is the split of the worlds, one of `lunarsim.rng.SPLITS`.
+    """
+
+    def __init__(self, scenario: Scenario, split: str) -> None:
+        self._split = split
         self.scenario = self._flown_scenario = scenario
         self.simulation: Simulation | None = None
         self._seen: Observation | None = None
@@ -113,7 +118,9 @@ class OnboardFlight:
 
     def begin(self, rng: np.random.Generator) -> None:
         """Start a random flight, selected by `rng`, and fly it to its first decision."""
-        self.simulation = Simulation(self._flown_scenario, int(rng.integers(2**62)))
+        # Seeds of different splits lie in different ranges, so that worlds are different.
+        seed = int(rng.integers(2**62)) + SPLITS.index(self._split) * 2**62
+        self.simulation = Simulation(self._flown_scenario, seed)
         self.time_scale_refused = False
         self._fly_on(lambda: None)
 

@@ -30,7 +30,7 @@ _POSTING = 0.4
 
 def create_flight(
     perception: str, scenario: Scenario, worlds: int, world_seed: int, surrogate: Any,
-    covers: Sequence[float] = (),
+    covers: Sequence[float] = (), split: str = "train",
 ) -> SiteFlight:  # fmt: skip
     """Create the simulated flight of a single ``Retarget-v1`` environment.
 
@@ -45,15 +45,15 @@ def create_flight(
     if perception in FULL_SIMULATION:
         # The full simulation generates worlds per flight; this call only checks the covers.
         scenarios_by_cover(scenario, checked_covers(covers))
-        return OnboardFlight(scenario)
+        return OnboardFlight(scenario, split)
     return KernelFlight(
-        create_batch(1, perception, scenario, worlds, world_seed, surrogate, covers)
+        create_batch(1, perception, scenario, worlds, world_seed, surrogate, covers, split)
     )
 
 
 def create_batch(
     count: int, perception: str, scenario: Scenario, worlds: int, world_seed: int, surrogate: Any,
-    covers: Sequence[float] = (),
+    covers: Sequence[float] = (), split: str = "train",
 ) -> SiteDescentBatch:  # fmt: skip
     """Create a batch of landers for site decisions, flown by compiled kernels.
 
@@ -71,6 +71,8 @@ def create_batch(
         `Surrogate` or the path of its file; None is the surrogate supplied with lunarsim_envs.
     covers
         Additional rock covers, area fractions.
+    split
+        Split of the worlds, one of `lunarsim.rng.SPLITS`.
 
     Raises
     ------
@@ -100,7 +102,7 @@ def create_batch(
         model.check(scenario)
     elif perception == "gaussian-dem":
         gaussian_dem_of(scenario)
-    pool = SiteWorldPool.of(scenario, worlds, world_seed, checked_covers(covers))
+    pool = SiteWorldPool.of(scenario, worlds, world_seed, checked_covers(covers), split)
     if perception == "truth":
         return SiteDescentBatch(
             count, scenario, pool, errors=exact_errors(), view=view, drift_sigma=np.zeros(2),

@@ -11,7 +11,7 @@ import numpy as np
 from lunarsim.campaign.cache import default_cache_folder, open_cache
 from lunarsim.campaign.world_truth import WorldTruthProvider
 from lunarsim.errors import InputError
-from lunarsim.rng import flight_seed
+from lunarsim.rng import world_seed
 from lunarsim.scenario import Scenario
 from lunarsim.typing import Array
 from lunarsim.world import World
@@ -47,7 +47,12 @@ class SiteWorldPool:
 
     @classmethod
     def of(
-        cls, scenario: Scenario, count: int, seed: int, covers: Sequence[float] = ()
+        cls,
+        scenario: Scenario,
+        count: int,
+        seed: int,
+        covers: Sequence[float] = (),
+        split: str = "train",
     ) -> SiteWorldPool:
         """Generate a pool of worlds, or return it if this process has used it recently.
 
@@ -56,10 +61,12 @@ class SiteWorldPool:
         scenario
             Scenario with terrain, rocks, vehicle, Sun and target area.
         count, seed
-            Number of worlds per cover, and root seed. World k is the world of flight k in a
-            campaign with this seed.
+            Number of worlds per cover, and root seed. World k of the split "train" is the world of
+            flight k in a campaign with this seed.
         covers
             Additional rock covers, area fractions.
+        split
+            Split of the worlds, one of `lunarsim.rng.SPLITS`.
 
         Raises
         ------
@@ -71,9 +78,9 @@ class SiteWorldPool:
             raise InputError("worlds", count, "must be 1 or more")
         tables = ("terrain", "rocks", "vehicle", "target", "sun", "gravity_m_s2")
         held = scenario.to_dict()
-        key = repr(([held.get(name) for name in tables], count, seed, tuple(covers)))
+        key = repr(([held.get(name) for name in tables], count, seed, tuple(covers), split))
         if key not in _pools:
-            _pools[key] = _generate_pool(scenario, count, seed, covers)
+            _pools[key] = _generate_pool(scenario, count, seed, covers, split)
             while len(_pools) > _REMEMBERED:
                 _pools.popitem(last=False)
         _pools.move_to_end(key)
@@ -81,7 +88,7 @@ class SiteWorldPool:
 
 
 def _generate_pool(
-    scenario: Scenario, count: int, seed: int, covers: Sequence[float]
+    scenario: Scenario, count: int, seed: int, covers: Sequence[float], split: str
 ) -> SiteWorldPool:
     """Generate a pool of worlds; the cache of campaigns supplies known true maps."""
     worlds: list[World] = []
@@ -91,7 +98,7 @@ def _generate_pool(
     def drawn() -> Iterator[World]:
         for one in scenarios_by_cover(scenario, covers):
             for k in range(count):
-                provider = WorldTruthProvider(flight_seed(seed, k), {}, cache)
+                provider = WorldTruthProvider(world_seed(seed, k, split), {}, cache)
                 world, truth = provider.world_and_truth(one)
                 worlds.append(world)
                 layers.append(TruthLayers.of(truth))
