@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -98,11 +99,13 @@ def checked_bool(field: str, value: Any) -> bool:
 def checked_weights(weights: Any, weights_class: type[Weights]) -> Weights | None:
     """Return reward weights that are of a `weights_class`, None, "dense" or "sparse".
 
-    "dense" gives the default weights of the class, "sparse" those of its method `sparse`. Otherwise
-    an `InputError` is raised.
+    "dense" gives the default weights of the class, "sparse" 1 for a safe landing and otherwise 0.
+    If the weights are something else, an `InputError` is raised.
     """
     if isinstance(weights, str) and weights in ("dense", "sparse"):
-        return weights_class() if weights == "dense" else weights_class.sparse()
+        names = [field.name for field in fields(weights_class)]  # type: ignore[arg-type]
+        sparse = {name: float(name == "safe") for name in names}
+        return weights_class(**({} if weights == "dense" else sparse))
     if not isinstance(weights, weights_class | None):
         raise InputError(
             "weights",

@@ -153,9 +153,9 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     - At every step and at `reset`: ``time``, s since the start, and ``action_mask``.
     - At every step: ``reward_terms``, ``cost``, and ``time_scale_refused`` if the action has a
       ``time_scale``.
-    - At the end of an episode: ``safe``, ``failure_causes``, ``propellant_kg`` used since the
-      start, and ``score``, the sum of the rewards without shaping. In a vector environment, ``failure_causes`` has one bit for each limit in
-      `lunarsim.core.touchdown.CAUSES`.
+    - At the end of an episode: ``safe``, ``failure_causes``, ``propellant_kg`` used since the start
+      and ``score``, the sum of the rewards without shaping. In a vector environment,
+      ``failure_causes`` has one bit for each limit in `lunarsim.core.touchdown.CAUSES`.
 
     ``env.unwrapped.action_masks()`` returns the mask as booleans.
 
@@ -286,9 +286,9 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         self.render_mode = render_mode
         self.perception = perception
         self.actions = SiteActions(action)
+        split = checked_split(split)
         self.flight = create_flight(
-            perception, self.scenario, worlds, world_seed, surrogate, covers,
-            checked_split(split),
+            perception, self.scenario, worlds, world_seed, surrogate, covers, split
         )
         self.shown = SiteObservationLayout(observation)
         self.action_space = self.actions.space

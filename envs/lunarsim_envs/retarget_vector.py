@@ -68,9 +68,9 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         world_seed = checked_int("world_seed", world_seed, 0)
         self.scenario = retarget_scenario(scenario, changes)
         self.actions = SiteActions(action)
+        split = checked_split(split)
         self.lanes = create_batch(
-            num_envs, perception, self.scenario, worlds, world_seed, surrogate, covers,
-            checked_split(split),
+            num_envs, perception, self.scenario, worlds, world_seed, surrogate, covers, split
         )
         self.weights = checked_weights(weights, RewardWeights) or RewardWeights.of(self.scenario)
         self._lander = self.scenario.vehicle.make()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,11 +23,6 @@ MAX_PENALISED_CHOICES = 10
 @dataclass(frozen=True)
 class RewardWeights(SiteReward):
     """Weights of the reward terms of ``Retarget-v1``, as in the table [site_reward]."""
-
-    @classmethod
-    def sparse(cls) -> RewardWeights:
-        """Return the weights of the sparse reward: 1 for a safe landing, otherwise 0."""
-        return cls(1.0, *(0.0 for _ in fields(cls)[1:]))
 
     @classmethod
     def of(cls, scenario: Scenario) -> RewardWeights:

@@ -43,7 +43,9 @@ def compare(out: Path, settings: PpoSettings, episodes: int, console: Console) -
             "velocity_sigma_m_s": settings.velocity_sigma,
         }
     )
-    study = EvaluationStudy("lunarsim_envs:lunarsim/Guidance-v1", scenario, {"split": "test"}, seed=2)
+    study = EvaluationStudy(
+        "lunarsim_envs:lunarsim/Guidance-v1", scenario, {"split": "test"}, seed=2
+    )
     agents = (str(out / "agent.npz"), *REFERENCE_AGENTS)
     rows = add_on_target(fly(study, agents, episodes, jobs=1), 10.0)
     console.print(agents_table(agent_metrics(rows, study.seed), 10.0))

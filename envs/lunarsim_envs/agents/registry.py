@@ -112,9 +112,9 @@ def agent_of(agent: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = F
     Parameters
     ----------
     agent
-        Optionally ``NAME=``, which sets the name in tables, then: name from `known_agents`, network file (``.npz``, ``.onnx``), Stable-Baselines3 file
+        Name from `known_agents`, network file (``.npz``, ``.onnx``), Stable-Baselines3 file
         (``.zip``), or ``module:Name`` of a callable (`custom_agents.custom_agent`), a guidance law
-        or a policy.
+        or a policy. ``NAME=`` before it sets its name in tables.
     env
         Environment to fly.
     trust_pickle

@@ -194,8 +194,8 @@ class DescentBatch:
     time
         Time since the start of each flight (n,), s.
     ended
-        State of the flight: FLYING, LANDED (a pad has touched), LOST (far away or below the map) or LATE (time
-        limit) (n,).
+        State of the flight: FLYING, LANDED (a pad has touched), LOST (far away or below the map) or
+        LATE (time limit) (n,).
     failed
         Violated touchdown limits (n,), one bit each in the order of `core.touchdown.CAUSES`.
     touchdown_values

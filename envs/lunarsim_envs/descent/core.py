@@ -57,7 +57,8 @@ class DescentEnvArguments(TypedDict, total=False):
     """Arguments that single and vector descent environments share.
 
     Scenario with changes, action rate, observation components and whether they are scaled, reward
-    weights, pool of worlds and privileged information. The docstring of `env.GuidanceEnv` describes each one.
+    weights, pool of worlds and privileged information. The docstring of `env.GuidanceEnv` describes
+    each one.
     """
 
     scenario: Scenario | str | Path | None
@@ -84,7 +85,8 @@ class DescentEnvCore:
         Number of landers n; None for a single environment with actions (size,).
     guided
         Whether actions are thrust accelerations (true), or thrust and torques (false).
-    scenario, changes, rate_hz, observation, scaled, weights, worlds, world_seed, split, covers, privileged
+    scenario, changes, rate_hz, observation, scaled, weights, worlds, world_seed, split, covers,
+    privileged
         Arguments of the environment, described in `env.GuidanceEnv`.
     """
 

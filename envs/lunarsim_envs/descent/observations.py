@@ -205,8 +205,8 @@ class ObservationScaling:
         sizes = [part.size for part in layout.parts]
         self.far = np.repeat([part.far for part in layout.parts], sizes).astype(np.float32)
         self.near = np.repeat([part.near for part in layout.parts], sizes).astype(np.float32)
-        physical = layout.space
-        self.space = spaces.Box(self.scaled(physical.low), self.scaled(physical.high))
+        low, high = (np.asarray(end, np.float32) for end in (layout.space.low, layout.space.high))
+        self.space = spaces.Box(self.scaled(low), self.scaled(high))
 
     def scaled(self, physical: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return scaled observations (..., 2 size) of observations (..., size), SI."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,11 +19,6 @@ MAX_MISS_M = k.MAX_MISS_M
 @dataclass(frozen=True)
 class DescentWeights(DescentReward):
     """Weights of the reward terms of descents, as in the table [descent_reward]."""
-
-    @classmethod
-    def sparse(cls) -> DescentWeights:
-        """Return the weights of the sparse reward: 1 for a safe landing, otherwise 0."""
-        return cls(1.0, *(0.0 for _ in fields(cls)[1:]))
 
     @classmethod
     def of(cls, scenario: Scenario) -> DescentWeights:

@@ -32,9 +32,6 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
     batch
         Vector environment with ``autoreset_mode="SameStep"``. For ``Retarget-v1``, the masks that
         MaskablePPO needs are available, also with several action components.
-    starts
-        Options of `reset`; each applies to an equal number of consecutive lanes. Default: all lanes
-        start as in the scenario.
 
     Raises
     ------
@@ -42,14 +39,11 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         If the vector environment has another autoreset mode.
     """
 
-    def __init__(
-        self, batch: gymnasium.vector.VectorEnv[Any, Any, Any],
-        starts: Sequence[dict[str, Any]] = (),
-    ) -> None:  # fmt: skip
+    def __init__(self, batch: gymnasium.vector.VectorEnv[Any, Any, Any]) -> None:
         mode = batch.metadata.get("autoreset_mode")
         if mode is not gymnasium.vector.AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode: must be AutoresetMode.SAME_STEP, got {mode}.")
-        self.batch, self.starts = batch, tuple(starts)
+        self.batch = batch
         self.render_mode = None
         super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
         self._actions: NDArray[np.float32] | None = None
@@ -70,10 +64,7 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         return observation
 
     def _reset_groups(self) -> list[tuple[dict[str, Any], list[int]]]:
-        """Return pairs of reset options and the environments (indices) that get them.
-
-        Options of `set_options` override those of `starts`.
-        """
+        """Return pairs of reset options and the environments (indices) that get them."""
         given = self._options
         if len(given) != self.num_envs or not all(isinstance(one, dict) for one in given):
             raise InputError(
@@ -81,17 +72,12 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
                 given,
                 f"must be a dictionary, or a list of {self.num_envs} dictionaries",
             )
-        alike: dict[tuple[int, int], list[int]] = {}
+        alike: dict[int, list[int]] = {}
         for lane, own in enumerate(given):
-            # Lanes with the same options object, or without options, are reset together.
-            key = lane * len(self.starts) // self.num_envs, id(own) if own else 0
-            alike.setdefault(key, []).append(lane)
-        pairs = []
-        for (start, _), lanes in alike.items():
-            options = (self.starts[start] if self.starts else {}) | self._options[lanes[0]]
-            if self.starts or options:
-                pairs.append((options, lanes))
-        return pairs
+            # Lanes with the same options object are reset together.
+            if own:
+                alike.setdefault(id(own), []).append(lane)
+        return [(given[lanes[0]], lanes) for lanes in alike.values()]
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Store the actions (n, size) for the next call of `step_wait`."""
