@@ -56,6 +56,7 @@ class RewardParams(NamedTuple):
     deceleration: float
     vertical_speed_limit: float
     horizontal_speed_limit: float
+    rate_limit: float
     limits: np.ndarray
 
 
@@ -63,6 +64,16 @@ class RewardParams(NamedTuple):
 def _norm(x, y, z):
     """Return the length of a vector."""
     return np.sqrt(x * x + y * y + z * z)
+
+
+@kernel(exact=True)
+def _nearness(y, target, params):
+    """Return T / (T + sqrt(r / 2 a)), which is 1 at the target; see `reference_velocity`."""
+    east, north = y[0] - target[0], y[1] - target[1]
+    up = max(y[2] - target[2] - params.com_height, 0.0)
+    return _LAST / (
+        _LAST + np.sqrt(_norm(east, north, up) / (2.0 * (_BRAKES * params.deceleration)))
+    )
 
 
 @kernel(exact=True)
@@ -80,8 +91,8 @@ def reference_velocity(y, target, params):
     """
     east, north = y[0] - target[0], y[1] - target[1]
     up = max(y[2] - target[2] - params.com_height, 0.0)
-    time = _LAST + np.sqrt(_norm(east, north, up) / (2.0 * (_BRAKES * params.deceleration)))
-    sooner = 1.0 + _SOONER * _LAST / time
+    near = _nearness(y, target, params)
+    time, sooner = _LAST / near, 1.0 + _SOONER * near
     below = _LAST * _LANDS * params.vertical_speed_limit
     return -(east * sooner) / time, -(north * sooner) / time, -(up + below) / time
 
@@ -91,12 +102,16 @@ def _potential(y, target, params):
     """Return the shaping potential of a lander with state `y` (15,) and `target` (3,).
 
     It falls with log(1 + e / horizontal speed limit), where e is the deviation from the reference
-    velocity. The logarithm distinguishes 1 from 2 m/s near the end as well as 10 from 20 m/s
-    earlier.
+    velocity, and near the target also with log(1 + rate / rate limit). The logarithm distinguishes
+    1 from 2 m/s near the end as well as 10 from 20 m/s earlier.
     """
     east, north, up = reference_velocity(y, target, params)
     deviation = _norm(y[3] - east, y[4] - north, y[5] - up)
-    return -params.weights.shaping * np.log1p(deviation / params.horizontal_speed_limit)
+    rate = _norm(y[10], y[11], y[12])
+    return -params.weights.shaping * (
+        np.log1p(deviation / params.horizontal_speed_limit)
+        + _nearness(y, target, params) * np.log1p(rate / params.rate_limit)
+    )
 
 
 @kernel(exact=True)

@@ -60,7 +60,8 @@ class Rewards:
     potential before it. The potential is 0 after a flight has ended, so the sum over an episode is
     minus the initial potential: the undiscounted return ranks policies as the score does (Ng,
     Harada and Russell, "Policy invariance under reward transformations", ICML 1999). The potential
-    falls with the deviation from a reference velocity (`_reward_kernels.reference_velocity`).
+    falls with the deviation from a reference velocity (`_reward_kernels.reference_velocity`) and,
+    near the target, with the angular rate.
 
     Parameters
     ----------
@@ -89,6 +90,7 @@ class Rewards:
             float(lander.thrust_max / lander.wet_mass - dynamics.gravity),
             float(lander.vertical_speed_limit),
             float(lander.horizontal_speed_limit),
+            float(lander.rate_limit),
             np.array([getattr(lander, limit.limit) for limit in k.MOTION_LIMITS]),
         )
         self._mass, self._potential, self.score = np.zeros((3, lanes.count))
