@@ -14,7 +14,10 @@ def potential(y, target, weights, lander, gravity):
     away[:, 2] += 4.0 * 0.4 * lander.vertical_speed_limit
     away[:, :2] *= (1.0 + 6.0 / time)[:, None]
     error = np.linalg.norm(y[:, 3:6] + away / time[:, None], axis=1)
-    return -weights.shaping * np.log1p(error / lander.horizontal_speed_limit)
+    rate = np.linalg.norm(y[:, 10:13], axis=1) / lander.rate_limit
+    return -weights.shaping * (
+        np.log1p(error / lander.horizontal_speed_limit) + 4.0 / time * np.log1p(rate)
+    )
 
 
 def _excess(motion, lander):

@@ -36,6 +36,7 @@ def lanes():
     lanes.target[:] = rng.normal(0.0, 20.0, (COUNT, 3))
     lanes.y[:, :3] = lanes.target + scale * rng.normal(0.0, 1.0, (COUNT, 3))
     lanes.y[:, 3:6] = 0.1 * scale * rng.normal(0.0, 1.0, (COUNT, 3))
+    lanes.y[:, 10:13] = rng.normal(0.0, 0.2, (COUNT, 3))
     lanes.y[:, 13] = rng.uniform(1000.0, 1500.0, COUNT)
     lanes.ended[:] = rng.choice([FLYING, LANDED, LOST, LATE], COUNT)
     lanes.failed[:] = np.where(rng.random(COUNT) < 0.5, 0, rng.integers(1, 512, COUNT))
