@@ -199,7 +199,7 @@ def test_ends_of_the_range_are_the_limits():
 
 
 @pytest.mark.parametrize("kind", [GuidanceEnv, ControlEnv])
-@pytest.mark.parametrize("least", [600.0, 3000.0], ids=["throttled", "strong"])
+@pytest.mark.parametrize("least", [600.0, 1800.0], ids=["throttled", "strong"])
 def test_actions_and_commands_are_inverse(kind, least):
     """Also with an engine whose minimum thrust is more than the weight without propellant."""
     env = kind(changes=LOW | {"vehicle.thrust_min_n": least})
@@ -213,7 +213,7 @@ def test_actions_and_commands_are_inverse(kind, least):
         assert again.dtype == np.float32
         assert actions.physical(again, 200) == pytest.approx(physical, rel=1e-5, abs=1e-4)
         constant = actions.low == actions.middle
-        assert constant.any() == (kind is ControlEnv and least == 3000.0)
+        assert constant.any() == (kind is ControlEnv and least == 1800.0)
         assert again[:, ~constant] == pytest.approx(given[:, ~constant], abs=1e-6)
         # Beyond the limits it is the closest action.
         assert (actions.action(2.0 * actions.high) == 1.0).all()

@@ -59,6 +59,12 @@ class Law:
         return self.law(seen)
 
 
+def constant(action):
+    """Return a function that gives one action for any observation."""
+    given = np.float32(action)
+    return lambda seen: given
+
+
 def guidance_agents(env):
     """Return agents that land, crash near and far, fly away and wait, by name."""
     descents = env.unwrapped.descents
@@ -79,7 +85,7 @@ def guidance_agents(env):
 
     agents |= {"stalls": Law(stalls, apollo.begin), "waits": Law(waits)}
     for name, action in CONSTANT.items():
-        agents[name] = Law(lambda seen, action=np.float32(action): action)
+        agents[name] = Law(constant(action))
     return agents
 
 
@@ -87,8 +93,7 @@ def control_agents(env):
     """Return agents of thrust and torques by name."""
     agents = {name: agent_of(name, env) for name in ("zero", "hover", "random")}
     for name, thrust in (("away", 1.0), ("falls", -1.0)):
-        action = np.float32([thrust, 0.0, 0.0, 0.0])
-        agents[name] = Law(lambda seen, action=action: action)
+        agents[name] = Law(constant([thrust, 0.0, 0.0, 0.0]))
     return agents
 
 
@@ -293,7 +298,7 @@ def test_the_sparse_reward_is_one_for_a_safe_landing_and_else_nothing():
     law = agent_of("polynomial", env)
     found = outcomes(env, lambda seen: law.act(seen, {}), range(2))
     for action in ([0, 0, 0], [0, 0, 1], [0, 0, -1]):
-        found += outcomes(env, lambda seen, a=np.float32(action): a, range(1))
+        found += outcomes(env, constant(action), range(1))
     for changes in ({}, {"simulation.max_time_s": 12.0}):
         site = RetargetEnv(weights="sparse", changes=changes, **SITE)
         found += outcomes(site, lambda seen: 0, range(2))
@@ -327,7 +332,7 @@ def test_presets_are_what_is_documented():
     assert DescentWeights.sparse() == DescentWeights(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     assert RewardWeights.sparse() == RewardWeights(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for kind, more in ((GuidanceEnv, {"changes": LOW}), (RetargetEnv, {"scenario": SMALL})):
-        with pytest.raises(ValueError, match="must be 'dense', 'sparse', a .*Weights or None"):
+        with pytest.raises(ValueError, match=r"must be 'dense', 'sparse', a .*Weights or None"):
             kind(weights="spars", **more)
 
 

@@ -189,6 +189,9 @@ def test_nothing_is_drawn_or_reported_that_is_not_asked_for():
     assert set(info) == {"reward_terms", "cost"}
     _, info = ControlEnv(changes=VARIED).reset(seed=1)
     assert set(info) == {"randomized"} and set(info["randomized"]) == set(RANDOM_QUANTITIES)
+    _, info = ControlEnv(changes=VARIED, privileged=True).reset(seed=1)
+    assert info["privileged"].shape == (29,)  # in SI units
+    assert info["privileged"][15] == LOW["simulation.max_time_s"]
 
 
 def test_the_whole_simulation_refuses_the_table():
