@@ -19,6 +19,7 @@ from lunarsim_envs.agents import registry, sb3_agents
 from lunarsim_envs.agents.network import Network
 from lunarsim_envs.agents.registry import agent_of, known_agents, label
 from lunarsim_envs.descent.env import ControlEnv, GuidanceEnv
+from lunarsim_envs.descent.observations import DEFAULT, ObservationLayout, ObservationScaling
 from lunarsim_envs.retarget import RetargetEnv
 from tests.low_descents import LOW
 
@@ -139,13 +140,16 @@ def test_policies_that_need_the_truth_are_refused():
 # --- networks ------------------------------------------------------------------------------------
 
 
-def network(parts=("position", "velocity", "attitude", "rate", "thrust", "propellant"), **changes):
+SCALES = ObservationScaling(ObservationLayout(DEFAULT))
+
+
+def network(parts=DEFAULT, **changes):
     rng = np.random.default_rng(7)
-    shapes = [(5, 30), (4, 5), (3, 4)]
+    shapes = [(5, 32), (4, 5), (3, 4)]
     layers = [rng.normal(size=shape).astype(np.float32) for shape in shapes]
     biases = [rng.normal(size=shape[0]).astype(np.float32) for shape in shapes]
     held = {
-        "far": np.full(15, 50.0, np.float32), "near": np.full(15, 2.0, np.float32),
+        "far": SCALES.far, "near": SCALES.near,
         "weights": tuple(layers), "biases": tuple(biases), "level": "Guidance-v1",
         "parts": tuple(parts), "rate": 5.0,
     }  # fmt: skip
@@ -153,9 +157,8 @@ def network(parts=("position", "velocity", "attitude", "rate", "thrust", "propel
 
 
 def plainly(net, observation):
-    """Return the action, number by number."""
-    values = [float(x) / float(f) for x, f in zip(observation, net.far, strict=True)]
-    values += [np.arcsinh(float(x) / float(n)) for x, n in zip(observation, net.near, strict=True)]
+    """Return the action for a scaled observation, number by number."""
+    values = [float(x) for x in observation]
     for depth, (weight, bias) in enumerate(zip(net.weights, net.biases, strict=True)):
         told = [sum(float(w) * v for w, v in zip(row, values, strict=True)) + float(b)
                 for row, b in zip(weight, bias, strict=True)]  # fmt: skip
@@ -165,7 +168,7 @@ def plainly(net, observation):
 
 def test_a_network_is_its_layers_and_comes_back_from_its_file(env, tmp_path):
     net = network()
-    seen = np.random.default_rng(1).normal(0.0, 20.0, (6, 15)).astype(np.float32)
+    seen = np.random.default_rng(1).normal(0.0, 2.0, (6, 32)).astype(np.float32)
     for row in seen:
         assert net(row) == pytest.approx(plainly(net, row), abs=1e-4)
     assert net(seen) == pytest.approx(np.array([net(row) for row in seen]), abs=1e-5)
@@ -183,6 +186,8 @@ def test_a_network_is_its_layers_and_comes_back_from_its_file(env, tmp_path):
         ({"parts": ("position",)}, "observation components position"),
         ({"weights": network().weights[:2], "biases": network().biases[:2]}, "actions with 4"),
         ({"far": np.ones(14, np.float32)}, "scales are missing"),
+        ({"far": 2.0 * SCALES.far}, "scaled as in its training"),
+        ({"near": 0.5 * SCALES.near}, "scaled as in its training"),
         ({"weights": tuple(w * np.nan for w in network().weights)}, "not finite"),
         ({"weights": network().weights[1:], "biases": network().biases[1:]}, "weights of shape"),
     ],
@@ -191,6 +196,22 @@ def test_a_network_is_its_layers_and_comes_back_from_its_file(env, tmp_path):
 def test_a_network_that_does_not_fit_is_refused(env, tmp_path, changes, says):
     network(**changes).save(tmp_path / "b.npz")
     with pytest.raises(InputError, match=says):
+        agent_of(str(tmp_path / "b.npz"), env)
+
+
+def test_a_network_is_not_flown_on_observations_in_si_units(tmp_path):
+    network().save(tmp_path / "b.npz")
+    with pytest.raises(InputError, match="scaled as in its training"):
+        agent_of(str(tmp_path / "b.npz"), GuidanceEnv(changes=LOW, scaled=False))
+
+
+def test_a_network_of_the_format_before_is_refused(env, tmp_path):
+    """Its input was the observation in SI units."""
+    network().save(tmp_path / "b.npz")
+    with np.load(tmp_path / "b.npz", allow_pickle=False) as held:
+        arrays = dict(held) | {"format": np.array("lunarsim network 1")}
+    np.savez(tmp_path / "b.npz", **arrays)
+    with pytest.raises(InputError, match="must be lunarsim network 2, not lunarsim network 1"):
         agent_of(str(tmp_path / "b.npz"), env)
 
 

@@ -112,7 +112,8 @@ class Pair:
             own, reward, *ends, tells = self.ones[i].step(actions[i])
             assert (rewards[i], terminated[i], truncated[i]) == (reward, *ends)
             ended = any(ends)
-            self.ends[0], self.ends[1] = self.ends[0] + ended, self.ends[1] + ends[1]
+            late = ends[1] or tells.get("failure_causes") == ("time-limit",)
+            self.ends[0], self.ends[1] = self.ends[0] + ended, self.ends[1] + late
             if ended and self.mode == "SameStep":
                 assert info["_final_obs"][i] and info["_final_info"][i]
                 same(info["final_obs"], i, own)

@@ -15,6 +15,7 @@ from gymnasium.vector import AutoresetMode
 
 from lunarsim.errors import InputError
 from lunarsim_envs.descent.baseline import PolynomialGuidance
+from lunarsim_envs.descent.batch import LANDED
 from lunarsim_envs.descent.env import ControlEnv, GuidanceEnv, GuidanceVectorEnv
 from lunarsim_envs.descent.observations import DEFAULT, PARTS, ObservationComponent, register
 from lunarsim_envs.descent.rewards import MAX_MISS_M, DescentWeights, Rewards
@@ -82,7 +83,7 @@ def test_a_lane_is_one_environment_bit_for_bit(name):
 
 
 def flown(mode, steps=150):
-    vector = batch(IDS[0], 6, autoreset_mode=mode)
+    vector = batch(IDS[0], 6, autoreset_mode=mode, scaled=False)
     assert vector.metadata["autoreset_mode"] is AutoresetMode(mode)
     actions = vector.unwrapped.descents.actions
     observation, _ = vector.reset(seed=7)
@@ -97,7 +98,7 @@ def flown(mode, steps=150):
             ends[i].append((last.copy(), reward[i], bool(info["safe"][i])))
             assert info["_safe"][i]
             if mode == "SameStep":
-                assert info["final_info"]["reward_terms"]["touchdown"][i] in (1.0, -1.0)
+                assert info["final_info"]["reward_terms"]["touchdown"][i] in (10.0, -4.0, -15.0)
                 assert observation[i, 2] > 15.0  # the next flight's first
         if mode == "Disabled" and over.any():
             with pytest.raises(gymnasium.error.ResetNeeded):
@@ -132,7 +133,7 @@ def test_a_plain_law_lands_safe_from_the_default_start():
         over = (terminated | truncated) & waiting
         if over.any():
             safe[over] = info["safe"][over]
-            miss[over] = np.hypot(*observation[over, :2].T)
+            miss[over] = np.hypot(*descents.physical(observation[over])[:, :2].T)
             waiting &= ~over
     assert safe.mean() > 0.95
     assert np.median(miss) < 0.5
@@ -156,50 +157,58 @@ def test_an_agent_for_other_actions_or_observations_is_refused():
 
 
 def test_shaping_reports_the_same_of_every_flight_from_one_start():
-    """Its discounted sum is minus the potential of the start, whatever was done."""
-    weights = DescentWeights(discount=0.97)
-    vector = batch(IDS[0], 8, weights=weights)
+    """Its sum is minus the potential of the start, whatever was done and however it ended."""
+    vector = batch(IDS[0], 8, scaled=False)
     descents = vector.unwrapped.descents
-    for law in ("down", "random"):
-        rng = np.random.default_rng(2)
+    rng, causes = np.random.default_rng(2), set()
+    laws = {
+        "down": lambda seen: descent(seen, descents.actions),
+        "random": lambda seen: rng.uniform(-0.3, 0.3, (8, 3)).astype(np.float32),
+        "away": lambda seen: np.tile(np.float32([0.0, 0.0, 1.0]), (8, 1)),
+        "wait": lambda seen: descents.actions.action([0.0, 0.0, 1.622] - 0.5 * seen[:, 3:6]),
+    }
+    for law in laws.values():
         observation, _ = vector.reset(seed=3)
         wanted = -descents.rewards.potential()
-        told, scale, waiting = np.zeros(8), np.ones(8), np.ones(8, bool)
+        told, waiting = np.zeros(8), np.ones(8, bool)
         while waiting.any():
-            action = (
-                descent(observation, descents.actions) if law == "down"
-                else rng.uniform(-0.3, 0.3, (8, 3)).astype(np.float32)
-            )  # fmt: skip
-            observation, _, terminated, truncated, info = vector.step(action)
-            told += np.where(waiting, scale * info["reward_terms"]["shaping"], 0.0)
-            scale *= 0.97
-            late = truncated & waiting
-            # One that is broken off has its last potential to come.
-            told[late] -= scale[late] * descents.rewards.potential()[late]
-            waiting &= ~(terminated | truncated)
+            observation, _, terminated, truncated, info = vector.step(law(observation))
+            assert not truncated.any()
+            told += np.where(waiting, info["reward_terms"]["shaping"], 0.0)
+            ended = np.flatnonzero(terminated & waiting)
+            causes |= {descents.lanes.failure_causes(i) for i in ended}
+            waiting &= ~terminated
         assert told == pytest.approx(wanted, rel=1e-9)
+    assert {(), ("time-limit",), ("off-map",)} <= causes
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_every_crash_returns_less_than_any_safe_landing(seed):
+def test_scores_rank_landings_over_crashes_over_the_rest(seed):
     """For all weights that are allowed; those that do not are refused."""
     rng = np.random.default_rng(seed)
     weights = DescentWeights(
-        safe=rng.normal(0.0, 2.0), crash=rng.normal(0.0, 2.0),
+        safe=rng.normal(2.0, 2.0), crash=rng.normal(0.0, 2.0), no_landing=rng.normal(-5.0, 5.0),
         propellant=rng.exponential(0.003), miss=rng.exponential(0.02),
-        severity=rng.exponential(1.0), excess=rng.exponential(1.0),
-        shaping=rng.exponential(1.0), discount=rng.uniform(0.5, 1.0),
+        severity=rng.exponential(1.0), excess=rng.exponential(0.1),
+        shaping=rng.exponential(1.0),
     )  # fmt: skip
-    worst = weights.safe - weights.propellant * 400.0 - weights.miss * MAX_MISS_M
-    if worst > weights.crash:
-        weights.check(400.0)
-    else:
-        with pytest.raises(InputError, match=r"weights\.safe"):
+    tanks = 400.0 * weights.propellant
+    worst_landing = weights.safe - tanks - weights.miss * MAX_MISS_M
+    # Speeds, tilt and rate have a limit each; the logarithm of each excess is at most 3.
+    worst_crash = weights.crash - tanks - weights.severity - 4 * 3.0 * weights.excess
+    if worst_landing <= max(weights.crash, weights.no_landing):
+        with pytest.raises(InputError, match=r"weights\.safe: must be above"):
             weights.check(400.0)
+    elif worst_crash < weights.no_landing:
+        with pytest.raises(InputError, match=r"weights\.no_landing: must be at most"):
+            weights.check(400.0)
+    else:
+        weights.check(400.0)
 
 
 def test_terms_are_what_they_say():
-    env = GuidanceEnv(changes=LOW, weights=DescentWeights(propellant=0.002, miss=0.02))
+    weights = DescentWeights(propellant=0.003, miss=0.02)
+    env = GuidanceEnv(changes=LOW, weights=weights, scaled=False)
     observation, _ = env.reset(seed=4)
     lanes = env.descents.lanes
     total = dict.fromkeys(Rewards.names, 0.0)
@@ -212,16 +221,16 @@ def test_terms_are_what_they_say():
         assert not late
     assert info["safe"] and info["failure_causes"] == ()
     off = float(np.hypot(*(lanes.y[0, :2] - lanes.target[0, :2])))
-    assert total["touchdown"] == 1.0
+    assert total["touchdown"] == 10.0
     assert total["miss"] == pytest.approx(-0.02 * off)
-    assert total["propellant"] == pytest.approx(-0.002 * (1500.0 - lanes.y[0, 13]))
+    assert total["propellant"] == pytest.approx(-0.003 * (1500.0 - lanes.y[0, 13]))
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.step(action)
 
 
 @pytest.mark.parametrize("weights", [
-    {"propellant": -1.0}, {"miss": np.nan}, {"discount": 0.0}, {"discount": 1.5}, {"shaping": -1.0},
-    {"crash": 1.0},
+    {"propellant": -1.0}, {"miss": np.nan}, {"no_landing": np.nan}, {"severity": -1.0},
+    {"shaping": -1.0}, {"crash": 5.0}, {"no_landing": -12.0}, {"no_landing": 5.0},
 ])  # fmt: skip
 def test_weights_that_will_not_do_are_refused(weights):
     with pytest.raises(InputError, match="weights"):
@@ -255,14 +264,14 @@ def test_a_batch_of_one_says_which_shape_it_wants():
 
 
 def test_where_flights_start_can_be_reported():
-    env = GuidanceEnv(changes=LOW)
+    env = GuidanceEnv(changes=LOW, scaled=False)
     told = {"position_m": [0.0, 0.0, 40.0], "velocity_m_s": [0.0, 0.0, -1.0],
             "position_sigma_m": 0.0, "velocity_sigma_m_s": 0.0}  # fmt: skip
     observation, _ = env.reset(seed=1, options=told)
     assert observation[:6] == pytest.approx([0.0, 0.0, 40.0, 0.0, 0.0, -1.0])
     observation, _ = env.reset(seed=1)
     assert observation[2] == pytest.approx(25.0, abs=10.0)
-    vector = GuidanceVectorEnv(3, changes=LOW)
+    vector = GuidanceVectorEnv(3, changes=LOW, scaled=False)
     vector.reset(seed=1)
     some = np.array([False, True, False])
     observation, _ = vector.reset(options=told | {"reset_mask": some})
@@ -282,14 +291,19 @@ def test_a_lane_of_a_mask_is_seeded_by_its_place_in_the_batch():
     assert np.array_equal(observation[2], alone)
 
 
-def test_running_out_of_time_is_no_crash():
+def test_running_out_of_time_ends_as_a_failure():
     env = GuidanceEnv(changes=LOW | {"simulation.max_time_s": 1.0})
     env.reset(seed=1)
-    hover, truncated = np.zeros(3, np.float32), False
-    while not truncated:
-        _, _, terminated, truncated, info = env.step(hover)
-        assert not terminated
-    assert info["cost"] == 0.0
+    for step in range(5):
+        _, _, terminated, truncated, info = env.step(np.zeros(3, np.float32))
+        assert not truncated and terminated == (step == 4)
+        assert info["cost"] == float(terminated)
+    assert not info["safe"] and info["failure_causes"] == ("time-limit",)
+    assert info["time_s"] == pytest.approx(1.0)
+    assert info["reward_terms"]["touchdown"] == -15.0
+    assert info["reward_terms"]["severity"] == info["reward_terms"]["excess"] == 0.0
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(np.zeros(3, np.float32))
 
 
 BAD_OPTIONS = [
@@ -351,11 +365,11 @@ def test_parts_of_an_observation_are_chosen_and_added():
     try:
         with pytest.raises(InputError, match="name of a registered component"):
             register(own)
-        env = ControlEnv(changes=LOW, observation=["height", "time_left"])
+        env = ControlEnv(changes=LOW, observation=["height", "time_left"], scaled=False)
         observation, _ = env.reset(seed=1)
         assert observation.shape == (2,) == env.observation_space.shape
         assert observation[1] == 20.0
-        whole, _ = ControlEnv(changes=LOW).reset(seed=1)
+        whole, _ = ControlEnv(changes=LOW, scaled=False).reset(seed=1)
         assert whole.shape == (sum(PARTS[name].size for name in DEFAULT),)
         assert whole[2] == observation[0]
     finally:
@@ -383,7 +397,7 @@ def test_a_copy_and_a_pickle_fly_on_alike():
 
 
 def test_an_image_shows_where_the_lander_is_and_how_it_ended():
-    env = GuidanceEnv(changes=LOW, render_mode="rgb_array", rate_hz=10.0)
+    env = GuidanceEnv(changes=LOW, render_mode="rgb_array", rate_hz=10.0, scaled=False)
     assert env.metadata["render_fps"] == 10
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.render()
@@ -419,13 +433,13 @@ def test_an_image_shows_where_the_lander_is_and_how_it_ended():
 
 
 def test_a_crash_costs_and_the_end_is_reported():
-    vector = batch(IDS[0], 16, autoreset_mode="SameStep")
+    vector = batch(IDS[0], 16, autoreset_mode="SameStep", scaled=False)
     vector.reset(seed=3)
     lanes = vector.unwrapped.descents.lanes
     seen = 0
     for _ in range(100):
         burnt, time = lanes.propellant_used.copy(), lanes.time.copy()
-        _, _, ended, late, info = vector.step(np.tile(np.float32([0.3, 0.0, -0.8]), (16, 1)))
+        _, _, ended, late, info = vector.step(np.tile(np.float32([0.6, 0.0, -0.67]), (16, 1)))
         assert np.array_equal(info["cost"], np.where(ended & ~info.get("safe", ended), 1.0, 0.0))
         for lane in np.flatnonzero(ended | late):
             seen += 1
@@ -438,35 +452,38 @@ def test_a_crash_costs_and_the_end_is_reported():
 
 
 def test_a_crash_is_reported_by_how_bad_it_is():
-    """Of speeds, tilt and rate over their limits, number by number."""
-    weights = DescentWeights(safe=5.0, severity=2.0, excess=0.5)
+    """By distance, and by speeds, tilt and rate over their limits, number by number."""
+    weights = DescentWeights(severity=2.0, excess=0.5)
     vector = batch(IDS[0], 32, weights=weights, autoreset_mode="Disabled")
     vector.reset(seed=3)
     lanes = vector.unwrapped.descents.lanes
-    far, fast = np.linalg.norm(LOW["start.position_m"]), np.linalg.norm(LOW["start.velocity_m_s"])
-    rng, seen = np.random.default_rng(1), 0
+    far = np.linalg.norm(LOW["start.position_m"])
+    rng, seen, lost = np.random.default_rng(1), 0, 0
     for _ in range(200):
-        drawn = rng.uniform(-0.2, 0.2, (32, 3)) + [0.0, 0.0, -0.5]
+        drawn = rng.uniform(-0.2, 0.2, (32, 3)) + np.array([0.0, 0.0, -0.3])
+        drawn[:4] = [1.0, 0.0, 0.8]  # away
         *_, ended, late, info = vector.step(drawn.astype(np.float32))
         for i in np.flatnonzero(ended):
-            if lanes.safe[i]:
+            if lanes.safe[i] or lanes.ended[i] != LANDED:
                 assert info["reward_terms"]["severity"][i] == 0.0
+                assert info["reward_terms"]["excess"][i] == 0.0
+                assert info["reward_terms"]["touchdown"][i] == (10.0 if lanes.safe[i] else -15.0)
+                lost += not lanes.safe[i]
                 continue
             y = lanes.y[i]
-            off = np.linalg.norm(y[:3] - lanes.target[i]) / far + np.linalg.norm(y[3:6]) / fast
-            assert info["reward_terms"]["severity"][i] == pytest.approx(-min(off, 2.0))
-            folds = 12.0
-            if lanes.ended[i] == 1:
-                down, side = abs(y[5]), np.hypot(y[3], y[4])
-                up = 1.0 - 2.0 * (y[6] ** 2 + y[7] ** 2)
-                values = [down / 3.0, side / 1.0, np.degrees(np.arccos(up)) / 6.0,
-                          np.degrees(np.linalg.norm(y[10:13])) / 6.0]  # fmt: skip
-                folds = sum(min(max(np.log(v), 0.0), 3.0) for v in values)
-                seen += 1
+            off = np.linalg.norm(y[:3] - lanes.target[i]) / far
+            assert info["reward_terms"]["severity"][i] == pytest.approx(-2.0 * min(off, 1.0))
+            down, side = abs(y[5]), np.hypot(y[3], y[4])
+            up = 1.0 - 2.0 * (y[6] ** 2 + y[7] ** 2)
+            values = [down / 3.0, side / 1.0, np.degrees(np.arccos(up)) / 6.0,
+                      np.degrees(np.linalg.norm(y[10:13])) / 6.0]  # fmt: skip
+            folds = sum(min(max(np.log(v), 0.0), 3.0) for v in values)
+            seen += 1
             assert info["reward_terms"]["excess"][i] == pytest.approx(-0.5 * folds, abs=1e-6)
+            assert info["reward_terms"]["touchdown"][i] == -4.0
         if (ended | late).any():
             vector.reset(options={"reset_mask": ended | late})
-    assert seen > 10
+    assert seen > 10 and lost > 3
 
 
 def test_a_seed_for_each_lane():

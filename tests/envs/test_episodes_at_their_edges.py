@@ -53,8 +53,9 @@ def test_time_may_run_out_before_the_first_decision():
     )
     env.reset(seed=1)
     *_, terminated, truncated, info = env.step(0)
-    assert truncated and not terminated
-    assert info["failure_causes"] == ("time-limit",) and info["cost"] == 0.0
+    assert terminated and not truncated
+    assert info["failure_causes"] == ("time-limit",) and info["cost"] == 1.0
+    assert info["reward_terms"]["touchdown"] == -1.0
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])

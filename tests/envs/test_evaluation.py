@@ -205,7 +205,7 @@ def test_agents_are_shown_the_parts_that_are_asked_for():
     given = evaluation_study(
         "lunarsim_envs:Guidance-v1", None, [], 1, observation=["velocity", "rate"]
     )
-    assert given.make().observation_space.shape == (6,)
+    assert given.make().observation_space.shape == (12,)  # scaled in two ways
     with pytest.raises(InputError, match="does not apply to"):
         evaluation_study("tests/Wanted-v0", None, [], 1, observation=["velocity"])
     words = ["evaluate", "Guidance-v1", "--agent", "apollo", "--episodes", "1", "--jobs", "1"]

@@ -216,7 +216,7 @@ def test_weights_stand_in_the_scenario():
     with pytest.raises(InputError, match=r"site_reward\.hazard"):
         SMALL.changed(site_reward={"hazard": -1.0})
     with pytest.raises(InputError, match=r"weights\.safe"):
-        GuidanceEnv(scenario=SMALL.changed(descent_reward={"crash": 2.0}))
+        GuidanceEnv(scenario=SMALL.changed(descent_reward={"crash": 5.0}))
 
 
 def test_a_reward_is_the_same_sum_of_its_terms_in_any_company():

@@ -13,48 +13,33 @@ from lunarsim.errors import InputError
 from lunarsim_envs.agents.registry import agent_of
 from lunarsim_envs.descent.env import GuidanceEnv, GuidanceVectorEnv
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
-from lunarsim_envs.training.settings import PpoSettings, scales
+from lunarsim_envs.training.settings import PpoSettings
 from tests.envs import site_scene
 from tests.low_descents import IDS, LOW, batch
 
-SMALL = replace(PpoSettings(), lanes=32, horizon=16, batch=64, epochs=2, steps=4 * 32 * 16)
+SMALL = replace(PpoSettings(), lanes=32, horizon=16, batch=64, steps=4 * 32 * 16)
 
 
 def test_settings_that_will_not_do_are_refused():
-    for changes, says in (
-        ({"steps": 0}, "steps: must"), ({"discount": float("nan")}, "discount"),
-        ({"lanes": 8}, "16 or more"), ({"nearest": 0.0}, "above 0"),
-    ):  # fmt: skip
-        with pytest.raises(InputError, match=says):
-            replace(PpoSettings(), **changes)
-    PpoSettings().weights.check(400.0)
-    # Shaping leaves the best policy alone at the learner's own discount alone.
-    assert replace(PpoSettings(), discount=0.98).weights.discount == 0.98
+    for name in ("steps", "lanes", "horizon", "batch"):
+        with pytest.raises(InputError, match=f"{name}: must be 1 or more"):
+            replace(PpoSettings(), **{name: 0})
 
 
-def test_starts_go_from_near_the_target_to_the_whole_way():
-    planned = np.array([-600.0, 0.0, 500.0, 28.0, 0.0, -18.0, 30.0, 10.0])
-    starts = PpoSettings().starts(planned)
-    heights = [start["position_m"][2] for start in starts]
-    assert len(starts) == 16 and heights[0] == pytest.approx(20.0)
-    assert heights[:12] == sorted(heights[:12]) and heights[11:] == [500.0] * 5
-    assert starts[0]["velocity_m_s"][0] == pytest.approx(28.0 * 0.2)
-    assert starts[0]["position_sigma_m"] == pytest.approx(1.2)
-    assert starts[15]["velocity_sigma_m_s"] == 10.0
-
-
-def test_every_number_of_an_observation_has_its_scales():
-    far, near = scales(("velocity", "position"))
-    assert far == [40.0] * 3 + [600.0] * 3 and near == [1.0] * 3 + [3.0] * 3
-    assert [PpoSettings(steps=100, lanes=16, horizon=2).learning_rate(k) for k in (0, 3)] == (
-        pytest.approx([PpoSettings.rate_first, PpoSettings.rate_last])
-    )
-    spreads = [PpoSettings(steps=100, lanes=16, horizon=2).max_log_std(k) for k in (0, 3, 9)]
-    assert spreads == pytest.approx([-1.5, -3.5, -3.5])
+def test_settings_change_starts_and_come_back_from_their_file(tmp_path):
+    settings = PpoSettings(steps=100, lanes=16, horizon=2, position_sigma=4.0, velocity_sigma=0.0)
+    env = GuidanceEnv(changes=settings.changes, scaled=False)
+    planned = env.descents.scenario.start
+    seen = np.array([env.reset(seed=seed)[0][:6] for seed in range(60)])
+    assert np.allclose(seen[:, 3:], planned.velocity_m_s)
+    assert (seen[:, :3] - planned.position_m).std() == pytest.approx(4.0, rel=0.2)
+    assert settings.updates == 4  # the last one is not cut short
+    settings.save(tmp_path / "settings.json")
+    assert PpoSettings.load(tmp_path / "settings.json") == settings
 
 
 @pytest.mark.slow
-def test_two_trainings_are_the_same_bits_and_actions_scatter_less(tmp_path):
+def test_two_trainings_are_the_same_bits(tmp_path):
     pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
     from lunarsim_envs.training.guidance import train
 
@@ -66,8 +51,6 @@ def test_two_trainings_are_the_same_bits_and_actions_scatter_less(tmp_path):
         [list(row.values()) for row in first], [list(row.values()) for row in second],
         equal_nan=True,
     )  # fmt: skip
-    spread = runs[0].model.policy.log_std.detach().numpy()
-    assert (spread < SMALL.final_log_std + 0.05).all()
     # Another seed is another agent.
     other = train(replace(SMALL, seed=1), tmp_path / "seed", 4, lambda run, seen: None)
     assert (other.out / "agent.npz").read_bytes() != files[0]
@@ -114,7 +97,7 @@ def test_a_batch_is_what_stable_baselines3_takes(tmp_path):
     from lunarsim_envs.training.sb3_vec_env import Sb3VecEnv
 
     near = {"position_m": [0.0, 0.0, 40.0], "position_sigma_m": 0.0}
-    env = Sb3VecEnv(batch(IDS[0], 8, autoreset_mode="SameStep"), [near, {}])
+    env = Sb3VecEnv(batch(IDS[0], 8, autoreset_mode="SameStep", scaled=False), [near, {}])
     env.seed(5)
     first = env.reset()
     assert (first[:4, 2] == 40.0).all() and (first[4:, 2] < 36.0).all()
@@ -122,7 +105,7 @@ def test_a_batch_is_what_stable_baselines3_takes(tmp_path):
     assert np.array_equal(env.reset(), first)
     ends = 0
     for _ in range(120):
-        env.step_async(np.tile(np.float32([0.1, 0.0, -0.6]), (8, 1)))
+        env.step_async(np.tile(np.float32([0.2, 0.0, -0.33]), (8, 1)))
         seen, reward, over, told = env.step_wait()
         assert reward.dtype == np.float32 and len(told) == 8
         for lane in np.flatnonzero(over):
@@ -172,7 +155,7 @@ def test_options_of_stable_baselines3_are_those_of_a_reset():
     from lunarsim_envs.training.sb3_vec_env import Sb3VecEnv
 
     near, exact = {"position_m": [0.0, 0.0, 40.0]}, {"position_sigma_m": 0.0}
-    env = Sb3VecEnv(batch(IDS[0], 4, autoreset_mode="SameStep"))
+    env = Sb3VecEnv(batch(IDS[0], 4, autoreset_mode="SameStep", scaled=False))
     env.reset()
     env.set_options(near | exact)
     assert (env.reset()[:, 2] == 40.0).all()
@@ -180,7 +163,7 @@ def test_options_of_stable_baselines3_are_those_of_a_reset():
     own = [near | exact, {}, near | exact, {}]
     env.set_options(own)
     assert (env.reset()[:, 2] == 40.0).tolist() == [True, False, True, False]
-    env = Sb3VecEnv(batch(IDS[0], 4, autoreset_mode="SameStep"), [near, {}])
+    env = Sb3VecEnv(batch(IDS[0], 4, autoreset_mode="SameStep", scaled=False), [near, {}])
     env.set_options(exact)
     seen = env.reset()
     assert (seen[:2, 2] == 40.0).all() and (seen[2:, 2] == 25.0).all()
@@ -194,19 +177,25 @@ def test_options_of_stable_baselines3_are_those_of_a_reset():
 
 
 @pytest.mark.slow
-def test_what_the_clock_cut_off_is_reported_as_truncated():
-    """Learners take the value of the last state for what such a flight would have returned."""
+def test_only_a_step_limit_is_reported_as_truncated():
+    """Learners take the value of the last state for what such a flight would have returned.
+
+    The time limit of the scenario ends a flight, with the reward of no landing.
+    """
     pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
     from lunarsim_envs.training.sb3_vec_env import Sb3VecEnv
 
     low = {"position_m": [0.0, 0.0, 40.0], "position_sigma_m": 0.0}
     falls = low | {"velocity_m_s": [0.0, 0.0, -30.0]}
     changes = LOW | {"simulation.max_time_s": 2.0}
-    env = Sb3VecEnv(GuidanceVectorEnv(2, "SameStep", changes=changes), [low, falls])
-    env.reset()
-    ends = {}
-    for _ in range(11):
-        _, _, over, told = env.step(np.zeros((2, 3), np.float32))
-        for lane in np.flatnonzero(over):
-            ends.setdefault(int(lane), told[lane]["TimeLimit.truncated"])
-    assert ends == {0: True, 1: False}
+    for limit, steps, late in ((None, 10, False), (9, 9, True)):
+        batch_env = GuidanceVectorEnv(2, "SameStep", max_episode_steps=limit, changes=changes)
+        env = Sb3VecEnv(batch_env, [low, falls])
+        env.reset()
+        ends = {}
+        for step in range(1, 11):
+            _, reward, over, told = env.step(np.zeros((2, 3), np.float32))
+            for lane in np.flatnonzero(over):
+                ends.setdefault(int(lane), (step, told[lane]["TimeLimit.truncated"], reward[lane]))
+        assert ends[0][:2] == (steps, late) and not ends[1][1]
+        assert (ends[0][2] < -10.0) == (not late)

@@ -35,7 +35,7 @@ def varied(count=4, mode="NextStep", **more):
 def only(**keys):
     """Return one environment that has these alone, with all kept back from no one."""
     changes = LOW | {f"domain_randomization.{key}": value for key, value in keys.items()}
-    return GuidanceEnv(changes=changes, privileged=True)
+    return GuidanceEnv(changes=changes, privileged=True, scaled=False)
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
@@ -81,18 +81,18 @@ def test_what_is_shown_comes_as_late_as_was_drawn():
     for seed in range(14):
         seen, info = env.reset(seed=seed)
         late = round(info["randomized"]["sensing_delay_s"] / 0.2)
-        truth = [info["privileged"][:15]]
+        truth = [info["privileged"][:16]]
         for _ in range(8):
             assert np.array_equal(seen, truth[max(len(truth) - 1 - late, 0)])
             seen, *_, info = env.step(np.float32([0.1, 0.0, -0.2]))
-            truth.append(info["privileged"][:15])
+            truth.append(info["privileged"][:16])
         counts.add(late)
     assert len(counts) > 3
 
 
 def test_what_is_commanded_acts_as_late_as_was_drawn():
     """Until it does the lander bears its weight, as one does that is told to."""
-    hover = np.float32([0.0, 0.0, 2.0 * 1.622 / (6000.0 / 1100.0) - 1.0])
+    hover = np.zeros(3, np.float32)
     delayed = only(actuation_delay_s=1.0)
     seen = set()
     for seed in range(6):
@@ -104,7 +104,7 @@ def test_what_is_commanded_acts_as_late_as_was_drawn():
         for step in range(9):
             *_, mine = delayed.step(down)
             *_, own = plain.step(hover if step < late else down)
-            assert mine["privileged"][:15] == pytest.approx(own["privileged"][:15], abs=1e-3)
+            assert mine["privileged"][:16] == pytest.approx(own["privileged"][:16], abs=1e-3)
         seen.add(late)
     assert len(seen) > 2
 
@@ -117,11 +117,11 @@ def test_noise_is_as_large_as_it_says_and_on_its_own_part_alone():
     for seed in range(60):
         seen, info = env.reset(seed=seed)
         for _ in range(4):
-            truth = info["privileged"][:15]
+            truth = info["privileged"][:16]
             turn = Rotation.from_quat(truth[6:10]).inv() * Rotation.from_quat(seen[6:10])
             off = seen - truth
             errors.append([*off[:6], *turn.as_rotvec(), *off[10:13]])
-            assert np.array_equal(off[13:], [0.0, 0.0])
+            assert np.array_equal(off[13:], [0.0, 0.0, 0.0])
             seen, *_, info = env.step(np.float32([0.0, 0.0, -0.4]))
     errors = np.array(errors)
     sigma = np.repeat([2.0, 0.3, np.radians(2.0), np.radians(1.0)], 3)
@@ -135,7 +135,7 @@ def test_noise_is_as_large_as_it_says_and_on_its_own_part_alone():
 
 def test_a_weak_engine_and_a_load_are_felt():
     """Hovering as if nothing were: the heavier and the weaker sink."""
-    hover = np.float32([0.0, 0.0, 2.0 * 1.622 / (6000.0 / 1100.0) - 1.0])
+    hover = np.zeros(3, np.float32)
     for seed in range(4):
         speeds = {}
         for name, keys in {
@@ -189,6 +189,9 @@ def test_nothing_is_drawn_or_reported_that_is_not_asked_for():
     assert set(info) == {"reward_terms", "cost"}
     _, info = ControlEnv(changes=VARIED).reset(seed=1)
     assert set(info) == {"randomized"} and set(info["randomized"]) == set(RANDOM_QUANTITIES)
+    _, info = ControlEnv(changes=VARIED, privileged=True).reset(seed=1)
+    assert info["privileged"].shape == (29,)  # in SI units
+    assert info["privileged"][15] == LOW["simulation.max_time_s"]
 
 
 def test_the_whole_simulation_refuses_the_table():
@@ -199,7 +202,7 @@ def test_the_whole_simulation_refuses_the_table():
 
 def test_a_lander_that_differs_from_the_known_one_moves_differently():
     """Hovering as if nothing were: weak thrust sinks, a heavy lander sinks, as computed by hand."""
-    hover = np.float32([0.0, 0.0, 2.0 * 1.622 / (6000.0 / 1100.0) - 1.0])
+    hover = np.zeros(3, np.float32)
     speeds = {}
     for key, value in (("none", 1.0), ("thrust_scale", 0.9), ("dry_mass_scale", 1.2)):
         changes = {} if key == "none" else {f"truth.vehicle.{key}": value}

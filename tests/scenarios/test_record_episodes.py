@@ -111,14 +111,17 @@ def test_existing_folders_are_not_overwritten(script, tmp_path):
 @pytest.mark.parametrize(
     ("env", "agent", "weights", "safe"),
     [
-        ("Guidance-v1", "hover", ("descent_reward.safe=3", "descent_reward.crash=1"), 0),
-        ("Guidance-v1", "apollo", ("descent_reward.safe=-1", "descent_reward.crash=-3"), 1),
+        (
+            "Guidance-v1", "hover",
+            ("safe=9", "crash=2", "no_landing=1", "severity=0", "excess=0", "propellant=0"), 0,
+        ),
+        ("Guidance-v1", "apollo", ("safe=-1", "crash=-8", "no_landing=-20"), 1),
     ],
-)
+)  # fmt: skip
 def test_safe_flag_is_the_landing_outcome_for_any_reward(
     script, tmp_path, env, agent, weights, safe
 ):
-    more = [word for one in weights for word in ("--set", one)]
+    more = [word for one in weights for word in ("--set", f"descent_reward.{one}")]
     out = tmp_path / "some"
     done = recorded(script, env, "--agent", agent, "--episodes", 1, "--out", out, *more)
     assert done.exit_code == 0 and f"1 episodes, {safe} safe landings" in done.output

@@ -200,7 +200,7 @@ class DescentEnvCore:
 
         ``randomized``: randomized parameters of each flight by name (n,), if the scenario has them.
         ``privileged``: true state with the components of `observations.DEFAULT`, followed by all
-        randomized parameters (n, 28), if requested.
+        randomized parameters (n, 29), if requested.
         """
         extra_info: dict[str, Any] = {}
         randomized = self.lanes.randomized

@@ -316,7 +316,7 @@ class GuidanceEnv(DescentEnv):
       world of another, for any seed. ``lunarsim evaluate`` flies ``"test"`` by default.
     - ``covers``: additional rock covers for ``reset(options={"cover": ...})``. The pool has
       ``worlds`` worlds for each cover.
-    - ``privileged``: adds ``info["privileged"]`` (28,) for asymmetric critics: the true state with
+    - ``privileged``: adds ``info["privileged"]`` (29,) for asymmetric critics: the true state with
       the default observation components, then all values of ``info["randomized"]``.
     - ``num_envs``, ``autoreset_mode``, ``max_episode_steps`` with ``gymnasium.make_vec(...,
       vectorization_mode="vector_entry_point")``: number of flights in one kernel; "NextStep",
