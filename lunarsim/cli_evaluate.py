@@ -48,9 +48,9 @@ from lunarsim.rng import SPLITS
 )  # fmt: skip
 @ALLOW_MODULE
 @click.option(
-    "--perception", default=None, metavar="NAME", show_default="onboard",
-    help="Source of the hazard map in Retarget-v1: onboard (mappers of the scenario), truth (true "
-    "safety), surrogate (statistical model of map errors), or one mapper: gaussian-dem, shadows, "
+    "--perception", default=None, metavar="NAME", show_default="surrogate",
+    help="Source of the hazard map in Retarget-v1: surrogate (statistical model of map errors), "
+    "onboard (mappers of the scenario), truth (true safety), or one mapper: gaussian-dem, shadows, "
     "quadtree or fused.",
 )  # fmt: skip
 @click.option(

@@ -203,10 +203,10 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     - ``scenario``: a `lunarsim.scenario.Scenario`, the path of a TOML file or the name of a
       scenario that is supplied with lunarsim. Default: rolling highlands with 7 % rock cover.
     - ``changes``: changed values by key, for example ``{"rocks.cover": 0.1}``.
-    - ``perception``: source of the hazard map. ``"onboard"`` (default of single environments):
-      mapper and navigation of the scenario. ``"truth"``: true safety within the LiDAR's field of
-      view. ``"surrogate"`` (default of vector environments): statistical model of the spatial
-      errors of the mapper ``gaussian-dem``. ``"gaussian-dem"``: this mapper with simulated scans.
+    - ``perception``: source of the hazard map. ``"surrogate"`` (default): statistical model of the
+      spatial errors of the mapper ``gaussian-dem``. ``"onboard"``: mapper and navigation of the
+      scenario. ``"truth"``: true safety within the LiDAR's field of view. ``"gaussian-dem"``: this
+      mapper with simulated scans.
       ``"shadows"``, ``"quadtree"``, ``"fused"``: an onboard mapper of this kind, which is added to
       the scenario if needed (`lunarsim_envs.sites.perception_scenarios.with_perception`).
     - ``surrogate``: file of a custom surrogate from ``scenarios/learning/fit_surrogate.py``.
@@ -248,7 +248,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         weights: RewardWeights | str | None = None,
         render_mode: str | None = None,
         *,
-        perception: str = "onboard",
+        perception: str = "surrogate",
         observation: Sequence[str] = DEFAULT,
         action: Sequence[str] = DEFAULT_ACTION,
         changes: Mapping[str, Any] | None = None,

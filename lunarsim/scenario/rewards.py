@@ -99,7 +99,9 @@ class DescentReward:
     """
 
     safe: float = quantity(10.0, help="Reward for a touchdown within all limits")
-    crash: float = quantity(-4.0, help="Reward for a touchdown that violates a limit")
+    crash: float = quantity(
+        0.0, help="Reward for a touchdown at the target that violates a limit"
+    )
     no_landing: float = quantity(
         -15.0,
         help="Reward for a flight that ends without touchdown: at the time limit, far away or "
@@ -119,7 +121,7 @@ class DescentReward:
         "farther; proportionally smaller for a nearer crash",
     )
     excess: float = quantity(
-        0.2,
+        0.1,
         ge=0,
         help="Additional penalty for a crash: this weight times ln(value / limit), at most 3, "
         "summed over the exceeded touchdown limits of speed, tilt and angular rate",
