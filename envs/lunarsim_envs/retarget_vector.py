@@ -54,7 +54,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         observation: Sequence[str] = DEFAULT,
         action: Sequence[str] = DEFAULT_ACTION,
         changes: Mapping[str, Any] | None = None,
-        worlds: int = 16,
+        worlds: int = 4,
         world_seed: int = 0,
         split: str = "train",
         covers: Sequence[float] = (),

@@ -23,6 +23,8 @@ _DEFAULTS = {
     "lunarsim/Retarget-v1": default_scenario, "lunarsim/Guidance-v1": flat_scenario,
     "lunarsim/Control-v1": flat_scenario,
 }  # fmt: skip
+# Default number of worlds of an evaluation, by default scenario.
+_WORLDS: dict[Any, int] = {default_scenario: 16}
 
 
 def _environment_id(env_name: str) -> str:
@@ -108,7 +110,7 @@ def evaluation_study(
                 "Omit this option.",
             )  # fmt: skip
     if own is not None:
-        arguments = {"split": "test"} | arguments
+        arguments = {"split": "test", "worlds": _WORLDS.get(own, 1)} | arguments
     flown: Scenario | None = None
     if scenario is not None:
         flown = Scenario.load(found(scenario))
