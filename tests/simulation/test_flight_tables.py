@@ -14,12 +14,14 @@ from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
 from lunarsim.evaluation.consistency import normalised_squared_error
+from lunarsim.onboard.policies.library import Safest
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Flight, Simulation
 from lunarsim.simulation.columns import ACTUATORS, COLUMN_TABLES, SCHEMA_VERSION
 from lunarsim.simulation.recorder import MessageRecorder
 from tests.conftest import SCENARIOS
 from tests.navigation_errors import error_of
+from tests.simulation.test_boundary import assert_the_same, replayed
 from tests.simulation.test_flight_record import assert_same
 
 SEED = 4
@@ -153,6 +155,12 @@ def test_the_record_does_not_change_the_flight(flown):
         simulation.scenario.changed(record=None).to_dict()
         == again.scenario.changed(record=None).to_dict()
     )
+
+
+def test_the_computer_flies_the_same_from_its_measurements_without_a_world(flown, tmp_path):
+    """What is recorded of the truth cannot have entered a command."""
+    _, tap, *_ = flown
+    assert_the_same(tap.exchanges, replayed(tap, Safest(), tmp_path))
 
 
 def test_files_state_unit_and_frame_of_every_column(flown):
