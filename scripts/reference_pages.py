@@ -1,7 +1,8 @@
 """Write the generated pages of docs/reference: `reference_pages.py [--images]`.
 
-The pages list commands, environments and scenario tables. Their text is the help of the commands,
-the docstrings of the environments and the meanings of scenario keys. `--images` also draws a frame
+The pages list commands, environments, scenario tables and the tables of a flight record. Their text
+is the help of the commands, the docstrings of the environments, and the meanings of scenario keys
+and columns. `--images` also draws a frame
 of each environment.
 """
 
@@ -25,6 +26,7 @@ from PIL import Image
 import lunarsim_envs
 from lunarsim.cli import main as lunarsim_command
 from lunarsim.scenario.reference import reference_text
+from lunarsim.simulation.columns import SAMPLE_FIELDS, SCHEMA_VERSION, TABLES, Table
 from lunarsim_envs.agents.registry import agent_of
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "reference"
@@ -64,6 +66,38 @@ If `[navigation]` is omitted, its kind is `"rocks"` with a mapper of kind `shado
 sensor of kind `navigation-fix`, and `"inertial"` otherwise.
 
 """
+RECORD = f"""# Flight record
+
+Look up files, tables, columns, units and frames of a saved flight here. {GENERATED} from
+`lunarsim/simulation/columns.py`.
+
+`lunarsim fly SCENARIO --out DIR` and `flight.save(DIR)` write schema version {SCHEMA_VERSION}
+(`schema_version` in `flight.json`). A record of version 1 has no estimates and commands;
+`Flight.load` leaves these tables empty. A record of a later version is refused. Each Parquet file
+has the unit and frame of every column in the metadata of its schema (`unit:NAME`, `frame:NAME`).
+[Frames and units](../howto/frames-and-units.md) defines the frames.
+[Export](../howto/exports.md) shows how to read the files, and how to compute the normalised
+estimation error squared (NEES) from them.
+
+| file | attribute of `Flight` | content |
+| --- | --- | --- |
+"""
+MAPS = """| `maps/NAME.nc` | `maps[NAME].hazard_map` | last hazard map of a mapper: `p_safe`, `observed`, `elevation` (m), `variance` (m^2), `in_domain`, and for quadtree maps `eligible` and `value` |
+| `maps/NAME.TABLE.parquet` | `maps[NAME].tables` | other data of a mapper, for instance tracked rocks |
+| `flight.json` | | scenario, seed, policy, target, outcome, decisions, events, digests of the other files |
+"""  # noqa: E501
+READINGS = """
+## readings.NAME
+
+Measurements of the sensor `NAME`, float64. They are recorded if the scenario has
+`[record] measurements = true`, and for custom sensors with `is_recorded` always. Camera images are
+not recorded. Columns are the fields of the measurement ([API](api.md)); a vector or matrix has one
+column per element (`speed_0`, `speed_1`; row by row). `time` is that of the measurement, s. A
+measurement has one row, with these exceptions, which have a column `sample`:
+
+| measurement | one row per element of | sample |
+| --- | --- | --- |
+"""
 
 
 _RATES = {
@@ -81,7 +115,8 @@ _FRAMES: dict[str, tuple[str, dict[str, Any], int]] = {
 
 def pages() -> dict[str, str]:
     """Return the text of each generated page by its path in docs/reference."""
-    return {"commands.md": commands_page()} | environment_pages() | scenario_pages()
+    single = {"commands.md": commands_page(), "flight-record.md": record_page()}
+    return single | environment_pages() | scenario_pages()
 
 
 def commands(group: click.Group, before: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
@@ -103,6 +138,31 @@ def commands_page() -> str:
         help_text = runner.invoke(lunarsim_command, [*words, "--help"], **options).output
         out.append(f"## lunarsim {' '.join(words)}\n\n```text\n{help_text.rstrip()}\n```\n")
     return "\n".join(out)
+
+
+def record_page() -> str:
+    """Return the page of the flight record: its files, and the columns of each table."""
+    files = [f"| `{t.name}.parquet` | `{t.name}` | {t.rows} |\n" for t in TABLES]
+    readings = "| `readings.NAME.parquet` | `readings[NAME]` | measurements of a sensor |\n"
+    samples = [
+        f"| `{kind.__name__}` | {', '.join(f'`{name}`' for name in names)} | its index, from 0 |\n"
+        for kind, names in SAMPLE_FIELDS.items()
+    ]
+    sections = [_table_section(table) for table in TABLES]
+    return "".join([RECORD, *files, readings, MAPS, *sections, READINGS, *samples])
+
+
+def _table_section(table: Table) -> str:
+    """Return the section of one table of the flight record."""
+    dtype = np.dtype(table.dtype).name
+    rows = "| column | unit | frame | meaning |\n| --- | --- | --- | --- |\n"
+    for group in table.groups:
+        first, last = group.names[0], group.names[-1]
+        names = [f"`{name}`" for name in group.names]
+        shown = ", ".join(names) if len(names) < 5 else f"`{first}` ... `{last}`"
+        frame = re.split("[,:]", group.frame)[0]
+        rows += f"| {shown} | {group.unit} | {frame} | {group.meaning} |\n"
+    return f"\n## {table.name}\n\n{table.rows[0].upper()}{table.rows[1:]}; {dtype}.\n\n{rows}"
 
 
 def environment_pages() -> dict[str, str]:

@@ -19,7 +19,6 @@ from lunarsim.cli import main
 from lunarsim.core.touchdown import CAUSES
 from lunarsim.evaluation.flight_metrics import COLUMNS as RESULT_COLUMNS
 from lunarsim.parts import kinds
-from lunarsim.simulation.columns import COLUMNS as TRAJECTORY_COLUMNS
 from scripts import reference_pages
 from tests.worlds import ROOT, SCENARIOS
 
@@ -285,7 +284,7 @@ def test_the_site_is_built_without_a_warning(tmp_path):
 def test_the_page_of_columns_has_every_column():
     page = (ROOT / "docs" / "reference" / "columns.md").read_text(encoding="utf-8")
     shown = set(re.findall(r"`(\w+)`", page))
-    assert {*RESULT_COLUMNS, *SAFE_SHARE_COLUMNS, *TRAJECTORY_COLUMNS} <= shown
+    assert {*RESULT_COLUMNS, *SAFE_SHARE_COLUMNS} <= shown
 
 
 def test_pages_have_every_cause_of_failure_and_every_guidance_law():

@@ -75,6 +75,9 @@ class OnboardComputer:
     updated_mappers
         Names of the mappers that received a measurement in this cycle, and of those that combine
         the maps of such mappers.
+    guidance_target, guidance_acceleration
+        Target of guidance in the last command, None during hover and abort, and the thrust
+        acceleration (3,) that guidance commanded, m/s^2; NaN before the first command.
     expected_miss
         Miss distance at the site in the last observation, 1 sigma per axis, m; NaN before the first
         observation.
@@ -118,6 +121,8 @@ class OnboardComputer:
         self.candidates: Candidates | None = None
         self.updated_mappers: set[str] = set()
         self.expected_miss = float("nan")
+        self.guidance_target: PhaseEnd | None = None
+        self.guidance_acceleration: Array = np.full(3, np.nan)
         self.phases = PhaseSequence(
             briefing, self.site_evaluator, self.guidance, self.vertical, self._record
         )
@@ -460,6 +465,7 @@ class OnboardComputer:
         """Return the vehicle command during braking."""
         end = self.braking.end(self.site)
         wanted = self._braking_law.command(self.estimate, end, self.time, self.time_to_go)
+        self.guidance_target, self.guidance_acceleration = end, wanted
         request: Command = self.braking.build_command(
             wanted, self.mass, self.lander, self.briefing.heading, self.time
         )
@@ -467,7 +473,7 @@ class OnboardComputer:
 
     def _guidance_command(self) -> Command:
         """Return the vehicle command during approach, hover, terminal descent or abort."""
-        end: PhaseEnd
+        end: PhaseEnd | None = None
         here = self._position_limited_estimate()
         if self.phase == Phase.APPROACH:
             end = self.approach.end(self.site, self.lander)
@@ -494,6 +500,7 @@ class OnboardComputer:
         else:
             wanted = climb(self.estimate, self.lander.thrust_max / self.mass)
             tilt = self.approach.max_tilt
+        self.guidance_target, self.guidance_acceleration = end, wanted
         return thrust_to_command(wanted, self.mass, self.lander, self.briefing.heading, tilt)
 
     def _position_limited_estimate(self) -> Estimate:

@@ -15,7 +15,13 @@ from lunarsim.onboard.guidance.braking import Braking
 from lunarsim.onboard.policies.decisions import DecisionSettings
 from lunarsim.onboard.policies.window import CrewWindow
 from lunarsim.rocks.population import RockExpectation, RockPopulation
-from lunarsim.scenario.mission import InitialUncertainty, PlannedSite, SimulationClock, Start
+from lunarsim.scenario.mission import (
+    InitialUncertainty,
+    PlannedSite,
+    RecordSettings,
+    SimulationClock,
+    Start,
+)
 from lunarsim.scenario.rewards import DescentReward, SiteReward
 from lunarsim.vehicle.domain_randomization import DomainRandomization
 from lunarsim.vehicle.faults import Faults
@@ -48,6 +54,7 @@ OPTIONAL: dict[str, type] = {
     "domain_randomization": DomainRandomization,
     "braking": Braking,
     "window": CrewWindow,
+    "record": RecordSettings,
     "site_reward": SiteReward,
     "descent_reward": DescentReward,
 }

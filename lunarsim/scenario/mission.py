@@ -130,6 +130,21 @@ class PlannedSite:
 
 
 @dataclass(frozen=True)
+class RecordSettings:
+    """Optional content of the flight record.
+
+    Attributes
+    ----------
+    measurements
+        Whether all measurements except camera images are recorded.
+    """
+
+    measurements: bool = quantity(
+        False, help="whether the flight record keeps all measurements except camera images"
+    )
+
+
+@dataclass(frozen=True)
 class SimulationClock:
     """Time step, control cycle and time limit of the simulation.
 

@@ -97,6 +97,7 @@ class Scenario:
     terminal_descent: tables.TerminalDescentTable | None
     control: tables.ControlTable
     simulation: tables.SimulationTable
+    record: tables.RecordTable | None
     site_reward: tables.SiteRewardTable | None
     descent_reward: tables.DescentRewardTable | None
 

@@ -347,6 +347,12 @@ class WindowChanges(TypedDict, total=False):
     lower_edge_deg: float
     upper_edge_deg: float
 
+class RecordTable(PartSettings):
+    measurements: bool
+
+class RecordChanges(TypedDict, total=False):
+    measurements: bool
+
 class SiteRewardTable(PartSettings):
     discount: float
     hazard: float
@@ -863,6 +869,7 @@ class FlightChanges(TypedDict, total=False):
     domain_randomization: DomainRandomizationChanges | None
     braking: BrakingChanges | None
     window: WindowChanges | None
+    record: RecordChanges | None
     site_reward: SiteRewardChanges | None
     descent_reward: DescentRewardChanges | None
     terrain: TerrainChanges

@@ -4,8 +4,10 @@ A flight is saved as a folder:
 
 ``flight.json``
     Scenario, seed, policy, target, outcome, decisions, events, digests of the other files.
-``trajectory.parquet``
-    One row per control cycle (pandas, polars, DuckDB).
+``trajectory.parquet``, ``navigation.parquet``, ``commands.parquet``, ``actuators.parquet``
+    True states; estimates with covariance; commands; thrusters and gimbal (pandas, polars, DuckDB).
+``readings.NAME.parquet``
+    Measurements of a sensor, if they are recorded.
 ``maps/NAME.nc``
     The last hazard map of each mapper, NetCDF-4 with coordinates and units (xarray).
 ``maps/NAME.TABLE.parquet``
@@ -35,13 +37,24 @@ import lunarsim
 from lunarsim.atomic_files import atomic_write, atomic_write_netcdf, atomic_write_text
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.simulation.columns import COLUMNS
+from lunarsim.simulation.columns import (
+    CANDIDATES,
+    COLUMN_TABLES,
+    LOCAL_FRAME,
+    SCANS,
+    SCHEMA_VERSION,
+    TRAJECTORY,
+    TRUE_FRAME,
+    Table,
+)
 from lunarsim.simulation.flight_files import (
+    MAX_READINGS_BYTES,
     digest_of,
     read_columns,
     read_layers,
     read_record,
     read_rows,
+    read_table,
     read_trajectory,
     reading,
 )
@@ -53,17 +66,8 @@ if TYPE_CHECKING:
     from lunarsim import FlightFigures
 
 
-# Frames of the recorded positions, as in `lunarsim.frames`.
-_TRUE_FRAME, _LOCAL_FRAME = (
-    "true ENU: origin at the centre of the terrain, at its mean elevation",
-    "local ENU, the frame of the onboard maps; subtract a map's navigation_error_m for true ENU",
-)
-FRAMES: dict[str, str] = {
-    "position, velocity, target, outcome": _TRUE_FRAME,
-    "estimated, site, decisions, scans, candidates, maps": _LOCAL_FRAME,
-}
-_SCAN_COLUMNS = ("x", "y", "z", "time")
-_CANDIDATE_COLUMNS = ("x", "y", "z", "p_safe", "propellant")
+# Frames of positions in ``flight.json`` and of the maps.
+FRAMES: dict[str, str] = {"target, outcome": TRUE_FRAME, "decisions, events, maps": LOCAL_FRAME}
 _LAYERS = {
     "p_safe": "1", "observed": "1", "elevation": "m", "variance": "m2",
     "eligible": "1", "value": "1", "in_domain": "1",
@@ -88,8 +92,17 @@ class Flight:
     target
         Target of the mission (3,), true frame, m.
     trajectory
-        One value per control cycle (n,) of each column in `columns.COLUMNS`, by name. The site is
-        the one before the decision of the cycle.
+        One value per control cycle (n,) of each column, by name. The site is the one before the
+        decision of the cycle.
+    navigation
+        Estimated state, site frame, and upper triangle of its covariance, at the times of the
+        trajectory: columns (n,) by name. Empty in a record of schema version 1, like `commands`
+        and `actuators`.
+    commands
+        Commands and guidance target of each control cycle: columns (n,) by name.
+    actuators
+        Commands to thrusters and gimbal in each period of the thrusters: columns (n,) by name.
+        Empty for a lander without simulated thrusters.
     decisions
         One dictionary per decision that changed the site.
     events
@@ -106,8 +119,10 @@ class Flight:
         Candidate sites of the last decision (n, 5), float32: position in the local frame, m,
         probability of safe terrain, and propellant, kg.
     readings
-        Readings of each sensor with ``is_recorded`` that measured at least once: columns (n,) by
-        name, by sensor.
+        Readings of each recorded sensor that measured at least once: columns (n,) by name, by
+        sensor. Recorded are sensors with ``is_recorded`` and, if ``[record] measurements`` is
+        true, all sensors except cameras. LiDAR scans and inertial samples have one row per pixel
+        or sample.
     """
 
     scenario: str
@@ -116,6 +131,9 @@ class Flight:
     outcome: LandingOutcome
     target: Array
     trajectory: dict[str, Array]
+    navigation: dict[str, Array] = field(default_factory=dict)
+    commands: dict[str, Array] = field(default_factory=dict)
+    actuators: dict[str, Array] = field(default_factory=dict)
     decisions: list[dict[str, Any]] = field(default_factory=list)
     events: list[dict[str, Any]] = field(default_factory=list)
     maps: dict[str, MapRecord] = field(default_factory=dict)
@@ -255,18 +273,15 @@ class Flight:
         """
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        table = pa.table({name: self.trajectory[name] for name in COLUMNS})
-        units = {f"unit:{name}": unit for name, unit in COLUMNS.items()}
-        frames = {f"frame:{what}": frame for what, frame in FRAMES.items()}
-        _save_table(table.replace_schema_metadata(units | frames), folder / "trajectory.parquet")
-        for name, axes in (("scans", _SCAN_COLUMNS), ("candidates", _CANDIDATE_COLUMNS)):
-            data = getattr(self, name)
-            cloud = {column: data[:, i] for i, column in enumerate(axes)}
-            placed = pa.table(cloud).replace_schema_metadata({"frame": _LOCAL_FRAME})
-            _save_table(placed, folder / f"{name}.parquet")
-        # Maps and readings of an earlier flight in this folder.
-        for old in [*(folder / "maps").glob("*"), *folder.glob("readings.*.parquet")]:
-            old.unlink()
+        # Maps and tables of an earlier flight in this folder.
+        tables = [folder / f"{table.name}.parquet" for table in COLUMN_TABLES]
+        for old in [*(folder / "maps").glob("*"), *folder.glob("readings.*.parquet"), *tables]:
+            old.unlink(missing_ok=True)
+        for table in COLUMN_TABLES:
+            if columns := getattr(self, table.name):
+                _save_columns(table, columns, folder)
+        for table in (SCANS, CANDIDATES):
+            _save_columns(table, table.as_columns(getattr(self, table.name)), folder)
         for name, columns in self.readings.items():
             _save_table(pa.table(columns), folder / f"readings.{name}.parquet")
         for name, record in self.maps.items():
@@ -281,6 +296,8 @@ class Flight:
         """Return the content of ``flight.json`` without the digests of the other files."""
         first = self.first_map
         return {
+            "schema_version": SCHEMA_VERSION,
+            "tables": [table.name for table in COLUMN_TABLES if getattr(self, table.name)],
             "frames": FRAMES,
             "scenario": self.scenario,
             "seed": self.seed,
@@ -319,16 +336,23 @@ class Flight:
                 policy=record["policy"],
                 outcome=_landing_outcome(record["outcome"]),
                 target=np.array(record["target"]),
-                trajectory=read_trajectory(folder, list(COLUMNS)),
+                trajectory=read_trajectory(folder, list(TRAJECTORY.columns())),
+                **{
+                    table.name: read_table(folder, table)
+                    for table in COLUMN_TABLES
+                    if table is not TRAJECTORY and table.name in record.get("tables", [])
+                },
                 decisions=record["decisions"],
                 events=record["events"],
                 maps={name: _load_map(name, folder) for name in record["maps"]},
                 decision_mapper=record["decision_mapper"],
                 first_map=None if first is None else _estimate(first),
-                scans=read_rows(folder, "scans", _SCAN_COLUMNS),
-                candidates=read_rows(folder, "candidates", _CANDIDATE_COLUMNS),
+                scans=read_rows(folder, SCANS.name, list(SCANS.columns())),
+                candidates=read_rows(folder, CANDIDATES.name, list(CANDIDATES.columns())),
                 readings={
-                    name: read_columns(folder, folder / f"readings.{name}.parquet")
+                    name: read_columns(
+                        folder, folder / f"readings.{name}.parquet", max_bytes=MAX_READINGS_BYTES
+                    )
                     for name in record.get("readings", [])
                 },
             )
@@ -365,6 +389,14 @@ def _estimate(record: dict[str, Any]) -> Estimate:
     return Estimate(
         record["time"], position, velocity, attitude, rate, record["mass"], unknown, lost
     )
+
+
+def _save_columns(table: Table, columns: dict[str, Array], folder: Path) -> None:
+    """Write columns (n,) of a declared table, with units and frames as metadata."""
+    found = table.columns(len(columns))
+    data = pa.table({name: np.asarray(columns[name], dtype=table.dtype) for name in found})
+    metadata = table.metadata(len(columns))
+    _save_table(data.replace_schema_metadata(metadata), folder / f"{table.name}.parquet")
 
 
 def _save_table(table: pa.Table, path: Path) -> None:

@@ -24,11 +24,14 @@ from lunarsim.errors import InputError, error_reason
 from lunarsim.grid import Grid
 from lunarsim.scenario.errors import plain_problem
 from lunarsim.scenario.files import parsed_toml
+from lunarsim.simulation.columns import SCHEMA_VERSION, Table
 from lunarsim.typing import Array
 from lunarsim.untrusted_files import check_no_links, read_json
 
 # Maximum decompressed size of a table or layer, bytes. A flight of three hours has 25 MB.
 MAX_EXPANDED_BYTES = 2**28
+# The same for the readings of a sensor: 200 scans of 256 x 256 pixels have 1.9 GB.
+MAX_READINGS_BYTES = 2**31
 
 _Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=100)]
 _Count = Annotated[int, Field(ge=0)]
@@ -98,6 +101,8 @@ class _Estimate(_StrictRecord):
 class FlightRecord(_StrictRecord):
     """Required content of ``flight.json``, the main file of a recorded flight."""
 
+    schema_version: _Count = 1
+    tables: list[_Name] = []
     scenario: str
     seed: _Seed
     policy: str
@@ -176,6 +181,13 @@ def read_record(folder: Path) -> dict[str, Any]:
                 "flight", str(folder), "must not be a record of an earlier version",
                 "Convert the record by `python scripts/migrate_stored.py FOLDER`.",
             )  # fmt: skip
+        version = tables.get("schema_version", 1)
+        if isinstance(version, int) and version > SCHEMA_VERSION:
+            raise InputError(
+                "flight", str(folder),
+                f"must have schema version {SCHEMA_VERSION} or lower, not {version}",
+                "Read it with the version of lunarsim that wrote it, or a later one.", False,
+            )  # fmt: skip
         checked = FlightRecord.model_validate(tables)
         parsed_toml(checked.scenario)
     for name, digest in checked.digests.items():
@@ -201,8 +213,9 @@ def _inside(folder: Path, path: Path) -> Path:
 
 
 def read_columns(
-    folder: Path, path: Path, required: Sequence[str] | None = None, min_rows: int = 0
-) -> dict[str, Array]:
+    folder: Path, path: Path, required: Sequence[str] | None = None, min_rows: int = 0,
+    max_bytes: int = MAX_EXPANDED_BYTES,
+) -> dict[str, Array]:  # fmt: skip
     """Read numeric columns (n,) of a Parquet file of a recorded flight, by name.
 
     Parameters
@@ -215,6 +228,8 @@ def read_columns(
         Names of the columns to read; None: all columns.
     min_rows
         Minimum number of rows.
+    max_bytes
+        Maximum decompressed size, bytes.
 
     Raises
     ------
@@ -232,8 +247,8 @@ def read_columns(
             kind = f.schema_arrow.field(name).type
             if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or kind == pa.bool_()):
                 raise _DefectError(f"column {name} is of type {kind}")
-        if 8 * f.metadata.num_rows * max(len(names), 1) > MAX_EXPANDED_BYTES:
-            raise _DefectError(f"larger than {MAX_EXPANDED_BYTES // 2**20} MiB when decompressed")
+        if 8 * f.metadata.num_rows * max(len(names), 1) > max_bytes:
+            raise _DefectError(f"larger than {max_bytes // 2**20} MiB when decompressed")
         table = f.read(names)
         if len(table) < min_rows:
             raise _DefectError(f"the table has {len(table)} rows, but needs {min_rows}")
@@ -253,6 +268,13 @@ def read_trajectory(folder: Path, names: Sequence[str]) -> dict[str, Array]:
         if not np.isfinite(found["time"]).all():
             raise _DefectError("times are not finite")
     return {name: column.astype(np.float64, copy=False) for name, column in found.items()}
+
+
+def read_table(folder: Path, table: Table) -> dict[str, Array]:
+    """Read the columns (n,) of a declared table of a recorded flight, by name."""
+    path = folder / f"{table.name}.parquet"
+    found = read_columns(folder, path)
+    return read_columns(folder, path, list(table.columns(len(found))))
 
 
 def read_rows(folder: Path, name: str, columns: Sequence[str]) -> NDArray[np.float32]:

@@ -10,7 +10,7 @@ from lunarsim import forks
 from lunarsim._blas import one_blas_thread
 from lunarsim.errors import InputError
 from lunarsim.frames import SiteToLocal, quat_conjugate, quat_multiply, quat_to_rotation_vector
-from lunarsim.messages.measurements import Measurements
+from lunarsim.messages.measurements import CameraImage, Measurements
 from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.computer import OnboardComputer
@@ -19,7 +19,7 @@ from lunarsim.onboard.policies.contract import Decision, Observation, Retargetin
 from lunarsim.parts import resolve, settings_of
 from lunarsim.rng import RandomStreams
 from lunarsim.scenario import Scenario
-from lunarsim.simulation.columns import Cycle
+from lunarsim.simulation.columns import CommandCycle, Cycle
 from lunarsim.simulation.cycle import fly_cycle
 from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.mission import plan
@@ -74,6 +74,18 @@ def _faults(scenario: Scenario, lander: Lander) -> Faults | None:
         return None
     made: Faults = scenario.faults.make()
     return made
+
+
+def _recorded_sensors(scenario: Scenario) -> list[str]:
+    """Return the names of the sensors whose readings the flight record keeps."""
+    keeps_all = scenario.record is not None and scenario.record.make().measurements
+    sensors = {name: part.make() for name, part in scenario.sensors.items()}
+    return [
+        name
+        for name, sensor in sensors.items()
+        if getattr(sensor, "is_recorded", False)
+        or (keeps_all and not issubclass(sensor.measurement_type, CameraImage))
+    ]
 
 
 class Simulation:
@@ -153,12 +165,7 @@ class Simulation:
         # A policy that uses the truth is queried here; any other runs on the computer.
         self._oracle = self.policy if getattr(self.policy, "knows_truth", False) else None
         self.computer = OnboardComputer(briefing, None if self._oracle else self.policy)
-        recorded = [
-            name
-            for name, part in scenario.sensors.items()
-            if getattr(part.make(), "is_recorded", False)
-        ]
-        self.recorder = Recorder(briefing.target, recorded)
+        self.recorder = Recorder(briefing.target, _recorded_sensors(scenario))
         self._tap = tap
         if tap is not None:
             tap.briefing = briefing
@@ -273,7 +280,7 @@ class Simulation:
         c.update(measurements)
         self.recorder.record_measurements(measurements, c, self.navigation_error)
         left = 0.0 if self.done else max(c.time_to_go, 0.0)
-        self.recorder.add_row(Cycle(self.time, self.state, c, left))
+        self.recorder.add_cycle(Cycle(self.time, self.state, c, left))
 
     @one_blas_thread()
     def decide(self) -> None:
@@ -301,10 +308,12 @@ class Simulation:
         """
         if self.done:
             raise RuntimeError("the flight has ended")
-        command = self.computer.command()
+        command, time = self.computer.command(), self.time
         cycle = fly_cycle(self.plant, self.computer.attitude_loop, command)
         if self._tap is not None:
             self._tap.exchange(self._measurements, command, cycle.torques)
+        torque = cycle.torques.mean(axis=0) if len(cycle.torques) else np.full(3, np.nan)
+        self.recorder.add_command(CommandCycle(time, command, self.computer, torque))
         self._take(cycle.measurements)
 
     def step(self) -> None:
@@ -330,6 +339,7 @@ class Simulation:
             policy=self.policy.name if self.policy is not None else "external",
             outcome=self.outcome or LandingOutcome(False, ("unfinished",), None),
             ending=self._ending_details(),
+            actuators=[] if self.plant.actuators is None else self.plant.actuators.commands,
         )
 
     def _ending_details(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Record a flight: trajectory, events, decisions, scans and maps."""
+"""Record a flight: states, commands, events, decisions, measurements and maps."""
 
 from __future__ import annotations
 
@@ -15,7 +15,15 @@ from lunarsim.messages.measurements import CameraImage, LidarScan, Measurements
 from lunarsim.onboard.computer import OnboardComputer
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.contract import Candidates, Decision
-from lunarsim.simulation.columns import COLUMNS, Cycle, row_of
+from lunarsim.simulation.columns import (
+    ACTUATORS,
+    COMMANDS,
+    NAVIGATION,
+    SAMPLE_FIELDS,
+    TRAJECTORY,
+    CommandCycle,
+    Cycle,
+)
 from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.map_record import MapRecord
 from lunarsim.typing import Array
@@ -50,7 +58,7 @@ class MessageRecorder:
 
 
 class Recorder:
-    """Recorder of trajectory, events, decisions, scans and maps of one flight.
+    """Recorder of states, commands, events, decisions, scans and maps of one flight.
 
     Parameters
     ----------
@@ -62,22 +70,30 @@ class Recorder:
 
     def __init__(self, target: Array, recorded: Sequence[str] = ()) -> None:
         self._target = target
-        self._readings: dict[str, list[dict[str, float]]] = {name: [] for name in recorded}
+        self._readings: dict[str, _Readings] = {name: _Readings(name) for name in recorded}
         self._rows: list[Array] = []
+        self._estimates: list[Array] = []
+        self._commands: list[Array] = []
         self._scans: list[Array] = []
         self._sensor_events: list[dict[str, Any]] = []
         self._last: dict[str, float] = {}
         self._errors: dict[str, Array] = {}
         self._first_map: Estimate | None = None
 
-    def add_row(self, cycle: Cycle) -> None:
-        """Add the row of one control cycle to the trajectory."""
-        self._rows.append(row_of(cycle))
+    def add_cycle(self, cycle: Cycle) -> None:
+        """Add the state and the estimate at the end of one control cycle."""
+        self._rows.append(TRAJECTORY.row(cycle))
+        computer = cycle.computer
+        estimate = computer.estimate.in_site(computer.navigation.site_to_local)
+        self._estimates.append(NAVIGATION.row(estimate))
+
+    def add_command(self, cycle: CommandCycle) -> None:
+        """Add the commands of one control cycle."""
+        self._commands.append(COMMANDS.row(cycle))
 
     def trajectory(self) -> dict[str, Array]:
         """Return the recorded trajectory as columns (n,) by name."""
-        table = np.array(self._rows).reshape(-1, len(COLUMNS))
-        return {name: table[:, i].copy() for i, name in enumerate(COLUMNS)}
+        return TRAJECTORY.as_columns(self._rows)
 
     def record_measurements(
         self, measurements: Measurements, computer: OnboardComputer, error: Array
@@ -90,21 +106,11 @@ class Recorder:
             if isinstance(measurement, LidarScan | CameraImage):
                 self._record_sensor(sensor, measurement, computer)
             if sensor in self._readings:
-                self._add_reading(sensor, measurement)
+                self._readings[sensor].add(measurement)
         for name in computer.updated_mappers:
             self._errors[name] = error
             if self._first_map is None:
                 self._first_map = computer.estimate
-
-    def _add_reading(self, sensor: str, measurement: object) -> None:
-        """Record the numbers of a reading; raise InputError if its columns differ."""
-        rows, row = self._readings[sensor], _reading(sensor, measurement)
-        if rows and list(row) != list(rows[0]):
-            raise InputError(
-                f"sensors.{sensor}", list(row),
-                f"must give the same numbers in every reading, as in the first: {list(rows[0])}",
-            )  # fmt: skip
-        rows.append(row)
 
     def _record_sensor(
         self, sensor: str, measurement: LidarScan | CameraImage, computer: OnboardComputer
@@ -143,10 +149,12 @@ class Recorder:
         policy: str,
         outcome: LandingOutcome,
         ending: dict[str, Any] | None = None,
+        actuators: Sequence[Array] = (),
     ) -> Flight:
         """Build the record of the flight up to now.
 
-        `scenario` is TOML text, `policy` a name, and `ending` has values for the last event.
+        `scenario` is TOML text, `policy` a name, `ending` has values for the last event, and
+        `actuators` are the commands of `vehicle.actuators.Actuators`.
         """
         maps = {
             name: MapRecord(
@@ -173,6 +181,12 @@ class Recorder:
             outcome=outcome,
             target=self._target,
             trajectory=self.trajectory(),
+            navigation=NAVIGATION.as_columns(self._estimates),
+            commands=COMMANDS.as_columns(self._commands),
+            # The last cycle is simulated to its end, although the lander may land before.
+            actuators=ACTUATORS.as_columns([row for row in actuators if row[0] <= computer.time])
+            if len(actuators)
+            else {},
             decisions=[_as_dict(*divert) for divert in computer.diverts],
             events=sorted(
                 self._sensor_events + telemetry + last, key=lambda event: float(event["time"])
@@ -183,33 +197,63 @@ class Recorder:
             scans=np.vstack([np.zeros((0, 4)), *self._scans]).astype(np.float32),
             candidates=_table(computer.candidates).astype(np.float32),
             readings={
-                name: {column: np.array([row[column] for row in rows]) for column in rows[0]}
-                for name, rows in self._readings.items()
-                if rows
+                name: readings.as_columns()
+                for name, readings in self._readings.items()
+                if readings.blocks
             },
         )
 
 
-def _reading(sensor: str, measurement: Any) -> dict[str, float]:
-    """Return the numbers in the fields of a measurement by column, such as "angles_0".
+class _Readings:
+    """Recorded readings of one sensor: names of columns, and blocks of rows.
 
-    Fields that are None are omitted. Raise InputError, naming the sensor, for other contents.
+    Each block has shape (n, columns). Columns have names such as "angles_0". Fields that are None
+    are omitted.
     """
-    row: dict[str, float] = {}
-    try:
-        for f in fields(measurement):
-            value = getattr(measurement, f.name)
-            if value is None:
-                continue
-            numbers = np.asarray(value, dtype=np.float64).ravel()
-            single = numbers.size == 1
-            row |= {f.name if single else f"{f.name}_{k}": float(x) for k, x in enumerate(numbers)}
-    except (TypeError, ValueError):
-        raise InputError(
-            f"sensors.{sensor}", type(measurement).__name__,
-            "must give readings of dataclasses with numbers and vectors, because it is recorded",
-        ) from None  # fmt: skip
-    return row
+
+    def __init__(self, sensor: str) -> None:
+        self.sensor = sensor
+        self.names: list[str] = []
+        self.blocks: list[Array] = []
+
+    def add(self, measurement: Any) -> None:
+        """Record the numbers of a measurement; raise InputError for other contents."""
+        names, block = self._block(measurement)
+        if self.blocks and names != self.names:
+            raise InputError(
+                f"sensors.{self.sensor}", names,
+                f"must give the same numbers in every reading, as in the first: {self.names}",
+            )  # fmt: skip
+        self.names = names
+        self.blocks.append(block)
+
+    def as_columns(self) -> dict[str, Array]:
+        """Return all recorded rows as columns (n,) by name."""
+        table = np.vstack(self.blocks)
+        return {name: table[:, i].copy() for i, name in enumerate(self.names)}
+
+    def _block(self, measurement: Any) -> tuple[list[str], Array]:
+        """Return names and rows (n, columns) of a measurement: a row, or a row per sample."""
+        sampled = SAMPLE_FIELDS.get(type(measurement), ())
+        count = len(getattr(measurement, sampled[0])) if sampled else 1
+        names, parts = (["sample"], [np.arange(count)[:, None]]) if sampled else ([], [])
+        try:
+            for f in fields(measurement):
+                value = getattr(measurement, f.name)
+                if value is None:
+                    continue
+                rows = count if f.name in sampled else 1
+                part = np.asarray(value, dtype=np.float64).reshape(rows, -1)
+                width = part.shape[1]
+                names += [f.name] if width == 1 else [f"{f.name}_{k}" for k in range(width)]
+                parts.append(np.broadcast_to(part, (count, width)))
+        except (TypeError, ValueError):
+            raise InputError(
+                f"sensors.{self.sensor}", type(measurement).__name__,
+                "must give readings of dataclasses with numbers and vectors, because it is "
+                "recorded",
+            ) from None  # fmt: skip
+        return names, np.hstack(parts).astype(np.float64)
 
 
 def _as_dict(time: float, old: Array, new: Decision) -> dict[str, Any]:

@@ -37,6 +37,9 @@ class Actuators:
         Thruster propellant used, kg.
     on_time, firings
         On-time (s) and number of valve openings of each thruster (n,).
+    commands
+        Commands so far, each an array (5 + n,): time, s, commanded and true gimbal angles (2,),
+        rad, and on-times from then on (n,), s.
     slosh_pendulums
         Sloshing propellant; None: no slosh.
     """
@@ -60,6 +63,7 @@ class Actuators:
         self.spent = 0.0
         self.on_time = np.zeros(n)
         self.firings = np.zeros(n, dtype=np.int64)
+        self.commands: list[Array] = []
         self.slosh_pendulums = SloshPendulums(lander) if lander.slosh.tanks else None
 
     def command(self, on_times: Array, gimbal: Array) -> None:
@@ -74,6 +78,7 @@ class Actuators:
         self._remaining_on_time = left
         limit = self.lander.engine.gimbal_limit
         self._gimbal_command = np.clip(gimbal, -limit, limit)
+        self.commands.append(np.hstack((self._time, self._gimbal_command, self.gimbal, left)))
 
     def set_throttle(self, commanded_thrust: float) -> float:
         """Set the throttle to a commanded thrust, N, within its limits and faults.

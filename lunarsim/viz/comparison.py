@@ -10,12 +10,14 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from lunarsim.evaluation.statistics import mean_interval, summarise_policies
+from lunarsim.models.lander import Lander
 from lunarsim.scenario import Scenario
 from lunarsim.typing import Array
 from lunarsim.viz.style import COLOURS, escape_dollars, new_figure, policy_colour, save
 
 Rows = list[dict[str, Any]]
 
+_COLUMNS = 6
 # Distinguish causes in greyscale prints too.
 _HATCHES = ("", "///", "...", "xxx", "\\\\\\", "ooo", "+++", "---")
 
@@ -34,8 +36,8 @@ def draw_comparison(rows: Rows, scenario: Scenario, path: Path) -> None:
     """
     names = list(dict.fromkeys(row["policy"] for row in rows))
     lander = scenario.true_lander()
-    figure = new_figure(15, 7.6)
-    axes = figure.subplots(2, 5).ravel()
+    figure = new_figure(18, 7.6)
+    axes = figure.subplots(2, _COLUMNS).ravel()
     _draw_safety(axes[0], rows, names)
     _draw_causes(axes[1], rows, names)
     boxes = (
@@ -54,9 +56,11 @@ def draw_comparison(rows: Rows, scenario: Scenario, path: Path) -> None:
     limits = {column: (label.partition(" (")[0], limit) for column, label, limit in boxes if limit}
     _draw_limit_differences(axes[8], rows, names, limits)
     _draw_maps(axes[9], rows, names)
+    _draw_propellant_differences(axes[10], rows, names)
+    _draw_touchdown_speeds(axes[11], rows, names, lander)
     shown = [escape_dollars(name) for name in names]
-    for i, ax in enumerate(axes):
-        ax.set_yticks(range(len(names)), shown if i % 5 == 0 else [""] * len(names))
+    for i, ax in enumerate(axes[:-1]):
+        ax.set_yticks(range(len(names)), shown if i % _COLUMNS == 0 else [""] * len(names))
         ax.set_ylim(len(names) - 0.5, -0.5)
         ax.grid(axis="x", alpha=0.3)
     flights = sum(row["policy"] == names[0] for row in rows)
@@ -189,6 +193,43 @@ def _draw_limit_differences(
     ax.xaxis.set_major_locator(MaxNLocator(5))
     ax.set_xlabel(f"Paired difference from {escape_dollars(names[0])},\nrelative to the limit")
     ax.legend(loc="upper left")
+
+
+def _draw_propellant_differences(ax: Any, rows: Rows, names: list[str]) -> None:
+    """Draw the propellant of each policy minus that of the first, by flight.
+
+    Marker: mean; thick bar: its 95 % interval (Student's t); thin bar: range of all flights.
+    """
+    for place, name in enumerate(names[1:], 1):
+        shift = paired_differences(rows, names[0], name, "propellant_kg")
+        if shift.size:
+            found, colour = mean_interval(shift), policy_colour(name)
+            ax.plot([shift.min(), shift.max()], [place, place], color=colour, lw=0.8)
+            ends = [found.mean - found.half, found.mean + found.half]
+            ax.plot(ends, [place, place], color=colour, lw=3.0)
+            ax.plot(found.mean, place, "o", color=colour, mec="black", mew=0.6)
+    ax.axvline(0.0, color="black", lw=0.8)
+    ax.set_xlabel(f"Propellant, paired difference from\n{escape_dollars(names[0])} (kg)")
+
+
+def _draw_touchdown_speeds(ax: Any, rows: Rows, names: list[str], lander: Lander) -> None:
+    """Draw the speeds of each touchdown; crosses are landings that were not safe."""
+    for name in names:
+        for safe, marker in ((True, "o"), (False, "x")):
+            mine = [r for r in rows if r["policy"] == name and r["safe"] == safe]
+            x, y = (
+                np.array([r[f"{axis}_speed_m_s"] for r in mine], dtype=np.float64)
+                for axis in ("horizontal", "vertical")
+            )
+            ax.plot(x, y, marker, color=policy_colour(name), ms=4)
+    ax.axvline(lander.horizontal_speed_limit, color="black", lw=1.2, ls="--", label="limits")
+    ax.axhline(lander.vertical_speed_limit, color="black", lw=1.2, ls="--")
+    ax.set_xlim(left=0.0)
+    ax.set_ylim(0.0, 1.2 * max(ax.get_ylim()[1], lander.vertical_speed_limit))
+    ax.set_xlabel("Lateral speed at contact (m/s)\ncircles: safe, crosses: not safe")
+    ax.set_ylabel("Vertical speed at contact (m/s)")
+    ax.grid(alpha=0.3)
+    ax.legend(loc="best")
 
 
 def _draw_maps(ax: Any, rows: Rows, names: list[str]) -> None:

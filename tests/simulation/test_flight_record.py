@@ -200,12 +200,11 @@ def test_a_record_without_a_column_was_written_by_another_version(flown, tmp_pat
 def test_files_say_in_which_frame_positions_are(flown, tmp_path):
     folder = flown[1].save(tmp_path / "framed")
     told = json.loads((folder / "flight.json").read_text())["frames"]
-    assert any("site" in what and "local" in frame for what, frame in told.items())
+    assert any("decisions" in what and "local" in frame for what, frame in told.items())
     assert any("target" in what and "true" in frame for what, frame in told.items())
     for name in ("scans", "candidates"):
         metadata = pq.read_schema(folder / f"{name}.parquet").metadata
-        assert metadata[b"frame"].startswith(b"local ENU")
+        assert metadata[b"frame:x"].startswith(b"local ENU")
     columns = pq.read_schema(folder / "trajectory.parquet").metadata
-    assert next(v for k, v in columns.items() if k.startswith(b"frame:position")).startswith(
-        b"true"
-    )
+    assert columns[b"frame:position_x"].startswith(b"true")
+    assert columns[b"frame:site_x"].startswith(b"local")

@@ -89,6 +89,31 @@ def test_the_record_is_saved_and_read_again(landed, tmp_path):
     _, flight, _ = landed
     again = type(flight).load(flight.save(tmp_path))
     assert again.events[-1] == flight.events[-1]
+    for name, column in flight.actuators.items():
+        assert again.actuators[name].tobytes() == column.tobytes()
+
+
+def test_recorded_on_times_add_up_to_those_of_the_valves(landed):
+    simulation, flight, _ = landed
+    table, count = flight.actuators, simulation.lander.thrusters.count
+    period = simulation.computer.attitude_loop.period
+    assert np.diff(table["time"]) == pytest.approx(period)
+    assert table["time"][-1] <= flight.duration
+    on_times = np.column_stack([table[f"on_time_{k}"] for k in range(count)])
+    assert f"on_time_{count}" not in table
+    # The last command is cut off by the touchdown, and simulated to the end of its cycle.
+    fired = np.minimum(on_times, period).sum(axis=0)
+    assert fired == pytest.approx(simulation.plant.actuators.on_time, abs=2 * period)
+    assert fired.sum() > 1.0
+    # The gimbal follows its command at a limited rate.
+    command, angle = (
+        np.column_stack([table[f"{name}_{a}"] for a in "xy"])
+        for name in ("gimbal_command", "gimbal")
+    )
+    step = np.abs(np.diff(angle, axis=0)).max()
+    assert 0.0 < step <= simulation.lander.engine.gimbal_rate * period * (1.0 + 1e-9)
+    assert np.abs(command).max() <= simulation.lander.engine.gimbal_limit
+    assert np.abs(angle - command)[-50:].max() < np.abs(command).max()
 
 
 def test_the_same_seed_fires_the_same_bits(small, landed):

@@ -16,7 +16,8 @@ ROWS = [
     {
         "policy": policy, "flight": flight, "safe": not failed, "failure_causes": failed,
         "aborted": False,
-        "propellant_kg": 40.0 + flight, "divert_m": 1.0, "vertical_speed_m_s": 2.0,
+        "propellant_kg": 40.0 + flight * (1.0 if policy == "a" else 3.0),
+        "divert_m": 1.0, "vertical_speed_m_s": 2.0,
         "horizontal_speed_m_s": 0.1, "tilt_deg": tilt, "safe_site_in_reach": True, **MAPS[policy],
     }
     for policy, flight, failed, tilt in (
@@ -70,6 +71,25 @@ def test_the_difference_of_the_tilt_is_a_mean_with_its_interval(panels):
     assert thick[-1] * 6.0 == pytest.approx([1.0 - half, 1.0 + half], abs=1e-3)
     thin = [x.get_xdata() for x in ax.lines if x.get_linewidth() == 0.8 and len(x.get_xdata()) == 2]
     assert any(np.allclose(np.array(x) * 6.0, [0.0, 2.0]) for x in thin)
+
+
+def test_the_difference_of_propellant_is_a_mean_with_its_interval(panels):
+    ax = panels["Propellant"]
+    # Of 0, 2 and 4 kg: the mean is 2, the standard error 2 / sqrt(3).
+    half = 4.30265 * 2.0 / np.sqrt(3.0)
+    (thick,) = [x.get_xdata() for x in ax.lines if x.get_linewidth() == 3.0]
+    assert thick == pytest.approx([2.0 - half, 2.0 + half], abs=1e-3)
+    assert "(kg)" in ax.get_xlabel()
+
+
+def test_speeds_of_each_touchdown_are_drawn_with_both_limits(panels):
+    ax = panels["Lateral speed at contact"]
+    lander = Scenario.from_dict({}).true_lander()
+    lines = [x for x in ax.lines if x.get_linestyle() == "--"]
+    assert lines[0].get_xdata() == pytest.approx([lander.horizontal_speed_limit] * 2)
+    assert lines[1].get_ydata() == pytest.approx([lander.vertical_speed_limit] * 2)
+    points = {m: sum(len(x.get_xdata()) for x in ax.lines if x.get_marker() == m) for m in "ox"}
+    assert points == {"o": 3, "x": 3}
 
 
 def test_precision_and_recall_are_where_their_names_say(panels):

@@ -16,6 +16,7 @@ import pyarrow.compute as pc
 
 from lunarsim.campaign.analysis import ArmStatistics, arm_rows, column
 from lunarsim.campaign.rare_failures import RareFailureEstimate
+from lunarsim.campaign.report.flight_data import MAX_PATHS, LimitedMetric, RecordedPath
 from lunarsim.campaign.results import Results
 from lunarsim.campaign.sensitivity import Sensitivity
 from lunarsim.campaign.subset import SubsetChains
@@ -200,28 +201,112 @@ def reliability_plot(results: Results, statistics: list[ArmStatistics]) -> Plot 
     return _plot("reliability", "Reliability of p_safe", text, traces, layout)
 
 
-def differences_plot(differences: list[Difference]) -> Plot:
-    """Plot the differences of the fraction of safe landings between pairs of arms.
+def differences_plot(
+    differences: list[Difference], plot_id: str = "differences",
+    title: str = "Paired differences", label: str = "Difference of the share of safe landings",
+) -> Plot:  # fmt: skip
+    """Plot the differences of a metric between pairs of arms.
 
-    An arm is a variant of the scenario.
+    An arm is a variant of the scenario. `label` is the difference with its unit.
     """
     names = [f"{d.second} − {d.first}" for d in differences]
     traces = [
         {"type": "scatter", "mode": "markers", "x": [d.value], "y": [name],
          "arms": [d.first, d.second], "showlegend": False,
-         "error_x": {"type": "data", "symmetric": False, "array": [d.high - d.value],
-                     "arrayminus": [d.value - d.low], "thickness": 2, "width": 5},
+         "error_x": {"type": "data", "symmetric": False,
+                     "array": [float(np.nan_to_num(d.high - d.value))],
+                     "arrayminus": [float(np.nan_to_num(d.value - d.low))],
+                     "thickness": 2, "width": 5},
          "marker": {"size": 10, "color": "#0072B2" if d.corrected < 0.05 else "#8c8c8c"}}
         for d, name in zip(differences, names, strict=True) if d.pairs
     ]  # fmt: skip
     layout = {
-        "xaxis": {"title": {"text": "Difference of the share of safe landings"}, "zeroline": True,
+        "xaxis": {"title": {"text": label}, "zeroline": True,
                   "zerolinewidth": 2},
         "yaxis": {"autorange": "reversed", "automargin": True},
         "height": 140 + 30 * len(differences),
     }  # fmt: skip
-    caption = "Blue: significant after Holm's correction; grey: not significant."
-    return _plot("differences", "Paired differences", caption, traces, layout)
+    caption = (
+        "Second arm minus first, paired by flight, with 95 % interval. Blue: significant after "
+        "Holm's correction; grey: not significant."
+    )
+    return _plot(plot_id, title, caption, traces, layout)
+
+
+def touchdown_plot(
+    results: Results, plot_id: str, title: str, axes: tuple[LimitedMetric, LimitedMetric],
+    limits_remark: str,
+) -> Plot | None:  # fmt: skip
+    """Plot two metrics of each touchdown with their limits, for each arm.
+
+    An arm is a variant of the scenario. Without these columns or without a touchdown, the plot is
+    None. `limits_remark` states why limits are not drawn, or is empty.
+    """
+    if not all(axis.column in results.manifest["columns"] for axis in axes):
+        return None
+    x, y = (column(results, axis.column) for axis in axes)
+    safe = column(results, "safe")
+    names = np.array(results.table["id"].to_pylist())
+    traces: list[Plot] = []
+    for i, (arm, mine) in enumerate(arm_rows(results).items()):
+        for good, symbol in ((True, "circle"), (False, "x")):
+            rows = np.flatnonzero(mine & np.isfinite(x) & np.isfinite(y) & ((safe > 0.5) == good))
+            rows = rows[:: max(1, -(-len(rows) // _MAX_POINTS))]
+            if len(rows):
+                traces.append({
+                    "type": "scatter", "mode": "markers", "x": _numbers(x[rows]),
+                    "y": _numbers(y[rows]), "text": names[rows].tolist(), "arm": arm,
+                    "name": f"{arm}, {'safe' if good else 'not safe'}",
+                    "marker": {"color": colour(i), "symbol": symbol, "size": 7 if good else 9},
+                })  # fmt: skip
+    if not traces:
+        return None
+    shapes = [
+        {"type": "line", f"{a}0": axis.limit, f"{a}1": axis.limit, f"{b}ref": "paper", f"{b}0": 0,
+         f"{b}1": 1, "line": {"color": COLOURS[-1], "dash": "dash", "width": 2}}
+        for axis, a, b in zip(axes, "xy", "yx", strict=True) if axis.limit is not None
+    ]  # fmt: skip
+    layout: Plot = {"height": 480, "shapes": shapes}
+    for name, axis, values in zip(("xaxis", "yaxis"), axes, (x, y), strict=True):
+        top = 1.1 * max(float(np.nanmax(values)), axis.limit or 0.0)
+        layout[name] = {"title": {"text": axis.label}, "range": [0.0, top]}
+    caption = "Each point is a touchdown; crosses are landings that were not safe. "
+    caption += limits_remark or "Dashed: limits of the lander."
+    return _plot(plot_id, title, caption, traces, layout)
+
+
+def trajectories_plot(results: Results, paths: list[RecordedPath]) -> Plot | None:
+    """Plot the recorded trajectories of each arm as a bundle, relative to their ends.
+
+    An arm is a variant of the scenario. Without records the plot is None.
+    """
+    traces: list[Plot] = []
+    for i, arm in enumerate(results.arms):
+        for good in (True, False):
+            mine = [path for path in paths if path.arm == arm and path.is_safe == good]
+            # None separates the lines of one trace.
+            x: list[float | None] = [v for p in mine for v in (*_numbers(p.distance), None)]
+            y: list[float | None] = [v for p in mine for v in (*_numbers(p.height), None)]
+            if mine:
+                traces.append({
+                    "type": "scatter", "mode": "lines", "x": x, "y": y, "arm": arm,
+                    "name": f"{arm}, {'safe' if good else 'not safe'} ({len(mine)})",
+                    "opacity": 0.6, "hoverinfo": "name",
+                    "line": {"color": colour(i), "width": 1, "dash": "solid" if good else "dash"},
+                })  # fmt: skip
+    if not traces:
+        return None
+    layout = {
+        "xaxis": {"title": {"text": "Horizontal distance to the end of the flight (m)"},
+                  "autorange": "reversed"},
+        "yaxis": {"title": {"text": "Height above the end of the flight (m)"}},
+        "height": 480,
+    }  # fmt: skip
+    caption = (
+        "True trajectories of recorded flights, at most "
+        f"{MAX_PATHS} per arm; dashed lines are landings that were not safe."
+    )
+    return _plot("trajectories", "Trajectories", caption, traces, layout)
 
 
 def rare_plot(estimates: list[RareFailureEstimate]) -> Plot:

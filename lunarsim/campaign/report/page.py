@@ -31,7 +31,10 @@ from lunarsim.campaign.report.figures import (
     sensitivity_plot,
     shares_plot,
     spread_plot,
+    touchdown_plot,
+    trajectories_plot,
 )
+from lunarsim.campaign.report.flight_data import recorded_paths, touchdown_axes
 from lunarsim.campaign.results import Results, failures, load_results
 from lunarsim.campaign.sensitivity import Sensitivity, sensitivities
 from lunarsim.errors import InputError, check_output, missing_package
@@ -135,12 +138,16 @@ def _template_variables(results: Results) -> dict[str, Any]:
     # A campaign with a stop rule was monitored, even if it ended before the rule applied.
     watched = "stop" in results.manifest["identity"]
     intervals = {a.name: _interval(a, watched) for a in statistics}
-    arm_differences = differences(results) if len(statistics) > 1 else []
+    tables = _difference_tables(results)
+    axes, remark = touchdown_axes(results)
     plots = [
         shares_plot(statistics, intervals),
         landings_plot(results, statistics, _terrain_image(results)),
         reliability_plot(results, statistics),
-        differences_plot(arm_differences) if arm_differences else None,
+        *(differences_plot(t["differences"], t["id"], t["title"], t["label"]) for t in tables),
+        touchdown_plot(results, "touchdown-speed", "Speed at touchdown", axes[0], remark),
+        touchdown_plot(results, "touchdown-tilt", "Attitude at touchdown", axes[1], remark),
+        trajectories_plot(results, recorded_paths(results)),
         *(spread_plot(results, n, _LABELS[n]) for n in _LABELS if n in results.manifest["columns"]),
     ]
     sensitive, why_not = _sensitivity(results)
@@ -149,7 +156,7 @@ def _template_variables(results: Results) -> dict[str, Any]:
     return _common_template_variables(results, plots) | {
         "watched": watched,
         "arms": [_row(a, *intervals[a.name]) for a in statistics],
-        "differences": arm_differences,
+        "difference_tables": {t["id"]: t for t in tables},
         "sensitive": sensitive,
         "no_sensitivity": why_not,
     }
@@ -181,7 +188,7 @@ def _rare_template_variables(results: Results) -> dict[str, Any]:
         "ended": completion_remark(chains) if chains else "",
         "watched": False,
         "arms": rows,
-        "differences": [],
+        "difference_tables": {},
         "sensitive": [],
         "no_sensitivity": "",
     }
@@ -233,9 +240,48 @@ def _sensitivity(results: Results) -> tuple[list[Sensitivity], str]:
     if len(results.arms) > _MAX_SENSITIVITY_ARMS:
         return [], f"Not computed for more than {_MAX_SENSITIVITY_ARMS} arms; use the command."
     try:
-        return sensitivities(results, "safe", _RESAMPLES), ""
+        found = sensitivities(results, "safe", _RESAMPLES)
     except InputError as error:
         return [], str(error)
+    if not any(one.indices for one in found):
+        return [], "No indices: " + "; ".join(f"{one.arm}: {one.why_not}" for one in found) + "."
+    return found, ""
+
+
+def _difference_tables(results: Results) -> list[dict[str, Any]]:
+    """Return paired differences between arms, with titles and rows of tables.
+
+    An arm is a variant of the scenario. With one arm, or without the column, there is no table.
+    """
+    if len(results.arms) < 2:
+        return []
+    wanted = (
+        ("differences", "safe", "Paired differences", "Difference of the share of safe landings",
+         "Safe share, difference", "p (McNemar)", "+.3f",
+         "Paired flights; 95 % intervals by Newcombe, not corrected for multiple comparisons."),
+        ("propellant-differences", "propellant_kg", "Paired differences of propellant",
+         "Difference of propellant used, mean (kg)", "Propellant, mean difference (kg)",
+         "p (paired t)", "+.2f",
+         "Paired flights with an outcome, safe or not; 95 % intervals by bootstrap over flights, "
+         "not corrected for multiple comparisons."),
+    )  # fmt: skip
+    tables = []
+    for key, metric, title, label, heading, test, form, note in wanted:
+        if metric not in results.manifest["columns"]:
+            continue
+        found = differences(results, metric)
+        rows = [
+            {"arms": [d.first, d.second],
+             "cells": [f"{d.second} − {d.first}", d.pairs,
+                       f"{d.value:{form}} [{d.low:{form}}, {d.high:{form}}]", f"{d.p:.3g}",
+                       f"{d.corrected:.3g}"]}
+            for d in found
+        ]  # fmt: skip
+        tables.append({
+            "id": key, "title": title, "label": label, "differences": found, "rows": rows,
+            "head": ["Difference", "Pairs", heading, test, "p (Holm)"], "note": note,
+        })  # fmt: skip
+    return tables
 
 
 def _interval(arm: ArmStatistics, has_stop_rule: bool) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 
 from lunarsim._frame_kernels import rotate_quaternion
-from lunarsim.frames import SiteToLocal
+from lunarsim.frames import SiteToLocal, quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.briefing import Briefing
 from lunarsim.typing import Array
 
@@ -57,6 +57,18 @@ class Estimate:
             self, time=self.time + seconds, position=self.position + seconds * self.velocity,
             attitude=attitude,
         )  # fmt: skip
+
+    def in_site(self, site_to_local: SiteToLocal) -> Estimate:
+        """Return the estimate with position, velocity and attitude in the site frame."""
+        turn = SiteToLocal(turn=site_to_local.turn)
+        return replace(
+            self,
+            position=site_to_local.to_site(self.position),
+            velocity=turn.to_site(self.velocity),
+            attitude=quat_multiply(
+                quat_from_rotation_vector(np.array([0.0, 0.0, -turn.turn])), self.attitude
+            ),
+        )
 
     @property
     def tilt_sigma(self) -> float:
@@ -147,6 +159,10 @@ class Navigation(ABC):
         `mass` (kg) is the mass that the onboard computer assumes; filters that do not estimate the
         mass return it.
         """
+
+    def estimate_in_site(self, time: float, mass: float) -> Estimate:
+        """Return `estimate` in the site frame; the arguments are the same."""
+        return self.estimate(time, mass).in_site(self.site_to_local)
 
     @property
     def is_drifting(self) -> bool:

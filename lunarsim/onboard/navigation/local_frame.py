@@ -9,21 +9,17 @@ terrain of known height) correct these states, and the lander as far as it is co
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lunarsim.frames import (
     SiteToLocal,
     quat_from_rotation_vector,
-    quat_multiply,
     quat_to_matrix,
     rotation_about_up,
 )
 from lunarsim.onboard.navigation.corrected_scan import CorrectedScan
 from lunarsim.onboard.navigation.error_state import MAP, POSE, ErrorState
-from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.navigation.inertial import (
     ATTITUDE,
     POSITION,
@@ -95,16 +91,6 @@ class LocalFrame:
         """Return a scan, given in the local frame, in the site frame."""
         turn = quat_from_rotation_vector(self.azimuth * _UP)
         return corrected.transformed(self.rotation, turn, self.to_site(np.zeros(3)))
-
-    def estimate_in_site(self, estimate: Estimate) -> Estimate:
-        """Return an estimate, given in the local frame, in the site frame."""
-        turn = quat_from_rotation_vector(self.azimuth * _UP)
-        return replace(
-            estimate,
-            position=self.to_site(estimate.position),
-            velocity=self.rotation @ estimate.velocity,
-            attitude=quat_multiply(turn, estimate.attitude),
-        )
 
     # --- errors ---------------------------------------------------------------------------
 

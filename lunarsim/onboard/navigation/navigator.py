@@ -180,10 +180,6 @@ class Navigator(Navigation):
         covariance = turn @ self.frame.covariance_in_site() @ turn.T
         return replace(local, covariance=covariance, lost=self.lost)
 
-    def estimate_in_site(self, time: float, mass: float) -> Estimate:
-        """Return the lander's state at `time` (s) in the site frame, with mass (kg)."""
-        return self.frame.estimate_in_site(self.estimate(time, mass))
-
     @property
     def site_to_local(self) -> SiteToLocal:
         """Estimated transformation from the site frame to the local frame."""

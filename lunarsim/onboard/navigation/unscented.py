@@ -256,14 +256,6 @@ class UnscentedFilter(Navigation):
             site_state.attitude, site_state.rate, own, site_state.covariance, lost,
         )  # fmt: skip
 
-    def estimate_in_site(self, time: float, mass: float) -> Estimate:
-        """Return the lander's state at `time` (s) in the site frame.
-
-        After a thrust command, the mass is that of the filter; before, it is the argument `mass`,
-        kg.
-        """
-        return replace(self.estimate(time, mass), position=self.inertial.position.copy())
-
     # --- time -----------------------------------------------------------------------------
 
     def record_thrust(self, thrust: float, seconds: float) -> None:

@@ -185,7 +185,7 @@ def test_an_estimate_in_the_site_frame_is_turned_whole():
     state, frame = own()
     state.correct(_error(state, 0.5))
     local = state.inertial.estimate(state.covariance, 1.0, 2.0)
-    there = frame.estimate_in_site(local)
+    there = local.in_site(frame.site_to_local)
     turn = quat_from_rotation_vector([0.0, 0.0, 0.5])
     assert there.velocity == pytest.approx(quat_rotate(turn, local.velocity))
     assert there.position == pytest.approx(frame.to_site(local.position))
