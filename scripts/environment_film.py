@@ -21,7 +21,11 @@ def main() -> None:
     """Fly one episode of `Retarget-v1` and write a GIF with a frame every 2 s."""
     assert lunarsim_envs.__name__
     env = gymnasium.make(
-        "lunarsim/Retarget-v1", scenario="golombek", render_mode="rgb_array_list", views=True
+        "lunarsim/Retarget-v1",
+        perception="onboard",
+        scenario="golombek",
+        render_mode="rgb_array_list",
+        views=True,
     )
     flies = agent_of("fuel-aware", env)
     flies.begin(np.random.default_rng(_SEED))

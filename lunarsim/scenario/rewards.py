@@ -99,9 +99,7 @@ class DescentReward:
     """
 
     safe: float = quantity(10.0, help="Reward for a touchdown within all limits")
-    crash: float = quantity(
-        0.0, help="Reward for a touchdown at the target that violates a limit"
-    )
+    crash: float = quantity(0.0, help="Reward for a touchdown at the target that violates a limit")
     no_landing: float = quantity(
         -15.0,
         help="Reward for a flight that ends without touchdown: at the time limit, far away or "

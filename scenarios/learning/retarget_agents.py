@@ -68,7 +68,10 @@ def main(episodes: int, seed: int, scenario: str | None, video: Path | None) -> 
             video.parent.mkdir(parents=True, exist_ok=True)
             check_output("--video", video, ".gif" if video.suffix.lower() == ".gif" else ".mp4")
         env = gymnasium.make(
-            "lunarsim_envs:lunarsim/Retarget-v1", scenario=scenario, render_mode=mode
+            "lunarsim_envs:lunarsim/Retarget-v1",
+            perception="onboard",
+            scenario=scenario,
+            render_mode=mode,
         )
     except InputError as error:
         raise click.UsageError(str(error)) from None

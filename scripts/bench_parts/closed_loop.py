@@ -13,7 +13,9 @@ def frames() -> None:
     """Time the rendered frames of Retarget-v1, compared with the environment's steps."""
     import gymnasium
 
-    env = gymnasium.make("lunarsim_envs:lunarsim/Retarget-v1", render_mode="rgb_array")
+    env = gymnasium.make(
+        "lunarsim_envs:lunarsim/Retarget-v1", perception="onboard", render_mode="rgb_array"
+    )
     env.reset(seed=0)
     env.render()
     drawn, stepped = [], []

@@ -87,9 +87,9 @@ def _retarget() -> None:
         ("surrogate", 1000, {"perception": "surrogate"}),
         ("gaussian-dem", 100, {"perception": "gaussian-dem"}),
         ("gaussian-dem, cells of 0.4 m", 100, {"perception": "gaussian-dem", "changes": coarse}),
-        ("onboard", None, {}),
+        ("onboard", None, {"perception": "onboard"}),
     ):
-        given: dict[str, Any] = settings | ({"worlds": 8} if settings else {})
+        given: dict[str, Any] = {"worlds": 8} | settings
         env = gymnasium.make(name, **given)
         rate = _single(name, time.process_time, **given)
         asked = "" if wanted is None else f" (target: {wanted})"

@@ -84,11 +84,12 @@ def campaign() -> Digests:
         return digests_of_folder(folder / "results", _source())
 
 
-def steps(environment: str, count: int, lanes: int = 0) -> Digests:
+def steps(environment: str, count: int, lanes: int = 0, **arguments: Any) -> Digests:
     """Step an environment with random actions; return digests of its outputs.
 
     `count` is the number of steps; `lanes` is the number of parallel environments (0: a single
-    environment). The digests are of observations, rewards and ends.
+    environment), and `arguments` are those of the environment. The digests are of observations,
+    rewards and ends.
     """
     import gymnasium
     import numpy as np
@@ -96,10 +97,13 @@ def steps(environment: str, count: int, lanes: int = 0) -> Digests:
     env: Any
     if lanes:
         env = gymnasium.make_vec(
-            f"lunarsim_envs:{environment}", lanes, vectorization_mode="vector_entry_point"
+            f"lunarsim_envs:{environment}",
+            lanes,
+            vectorization_mode="vector_entry_point",
+            **arguments,
         )
     else:
-        env = gymnasium.make(f"lunarsim_envs:{environment}")
+        env = gymnasium.make(f"lunarsim_envs:{environment}", **arguments)
     observation, _ = env.reset(seed=11)
     env.action_space.seed(12)
     observations, rewards, ends = [_flat(observation)], [], []
@@ -137,7 +141,7 @@ CASES: dict[str, Callable[[], Digests]] = {
     "fly golombek": partial(fly, "golombek"),
     "fly hard": partial(fly, "hard"),
     "optimal path": partial(fly, "golombek", "--guidance", "optimal", "--policy", "no-divert"),
-    "steps of Retarget-v1": partial(steps, "lunarsim/Retarget-v1", 40),
+    "steps of Retarget-v1": partial(steps, "lunarsim/Retarget-v1", 40, perception="onboard"),
     "true maps of golombek": partial(true_maps, "golombek"),
     "true maps of hirise": partial(true_maps, "hirise"),
 }

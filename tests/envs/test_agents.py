@@ -56,9 +56,9 @@ def test_zero_and_hover_are_the_actions_of_their_names(env):
     control = ControlEnv(changes=LOW)
     thrust = control.descents.actions.physical(agent_of("hover", control).act(None, {}))[0]
     assert thrust == pytest.approx([1500.0 * 1.622, 0.0, 0.0, 0.0], abs=1e-3)
-    assert agent_of("zero", RetargetEnv()).act(None, {}) == 0
+    assert agent_of("zero", RetargetEnv(perception="onboard")).act(None, {}) == 0
     with pytest.raises(InputError, match="needs Guidance-v1 or Control-v1"):
-        agent_of("hover", RetargetEnv())
+        agent_of("hover", RetargetEnv(perception="onboard"))
 
 
 def test_random_draws_from_the_flights_own_generator(env):
@@ -70,7 +70,7 @@ def test_random_draws_from_the_flights_own_generator(env):
     assert np.array_equal(told[0], told[1]) and not np.array_equal(told[0], told[2])
     assert told[0].dtype == np.float32
     assert np.abs(told[0]).max() <= 1.0 and told[0].min() < -0.95 and told[0].max() > 0.95
-    retarget = agent_of("random", RetargetEnv())
+    retarget = agent_of("random", RetargetEnv(perception="onboard"))
     mask = np.zeros(21, np.int8)
     mask[[0, 3, 20]] = 1
     assert {int(retarget.act(None, {"action_mask": mask})) for _ in range(60)} == {0, 3, 20}
@@ -119,7 +119,7 @@ def test_a_law_forgets_the_last_flight(env):
 
 
 def test_a_policy_decides_as_in_the_simulation(small_scenario):
-    env = RetargetEnv(scenario=small_scenario)
+    env = RetargetEnv(scenario=small_scenario, perception="onboard")
     agent = agent_of("nearest-safe", env)
     env.reset(seed=4)
     seed = int(gymnasium.utils.seeding.np_random(4)[0].integers(2**62))
@@ -134,7 +134,7 @@ def test_a_policy_decides_as_in_the_simulation(small_scenario):
 
 def test_policies_that_need_the_truth_are_refused():
     with pytest.raises(InputError, match="true hazard map"):
-        agent_of("truth-oracle", RetargetEnv())
+        agent_of("truth-oracle", RetargetEnv(perception="onboard"))
 
 
 # --- networks ------------------------------------------------------------------------------------

@@ -75,7 +75,7 @@ def test_more_covers_leave_the_scenario_s_worlds_as_they_are():
 
 
 def test_a_target_off_the_map_is_refused_and_the_next_flight_begins():
-    env = gymnasium.make(ID, scenario=SMALL).unwrapped
+    env = gymnasium.make(ID, perception="onboard", scenario=SMALL).unwrapped
     with pytest.raises(InputError, match="is on the terrain"):
         env.reset(seed=1, options={"target_m": [500.0, 0.0]})
     env.reset(seed=1)
@@ -99,7 +99,7 @@ def test_a_lane_with_options_flies_what_one_flies():
 
 
 def test_the_whole_computer_takes_all_of_them():
-    env = gymnasium.make(ID, scenario=SMALL).unwrapped
+    env = gymnasium.make(ID, perception="onboard", scenario=SMALL).unwrapped
     told = {"position_m": [-150.0, 0.0, 150.0], "position_sigma_m": 0.0, "cover": np.float64(0.02),
             "target_m": np.array([4.0, -3.0]), "target_scatter_m": [0.0, 0.0],
             "sun_azimuth_deg": 200.0, "sun_elevation_deg": 12.0}  # fmt: skip
@@ -121,7 +121,9 @@ def test_the_whole_computer_takes_all_of_them():
     ],
 )  # fmt: skip
 def test_the_whole_computer_refuses_what_no_scenario_may_say(options, says):
-    env, other = (gymnasium.make(ID, scenario=SMALL).unwrapped for _ in range(2))
+    env, other = (
+        gymnasium.make(ID, perception="onboard", scenario=SMALL).unwrapped for _ in range(2)
+    )
     for one in (env, other):
         one.reset(seed=1)
     with pytest.raises(InputError, match=says):

@@ -25,7 +25,9 @@ ID = "lunarsim_envs:lunarsim/Retarget-v1"
 
 @pytest.fixture
 def env(small_scenario):
-    return gymnasium.make(ID, scenario=small_scenario, render_mode="rgb_array")
+    return gymnasium.make(
+        ID, perception="onboard", scenario=small_scenario, render_mode="rgb_array"
+    )
 
 
 def test_check_env_without_a_warning(env):
@@ -35,7 +37,7 @@ def test_check_env_without_a_warning(env):
 
 
 def test_default_scenario_is_made_without_files():
-    assert gymnasium.make(ID).unwrapped.scenario.name == "golombek"
+    assert gymnasium.make(ID, perception="onboard").unwrapped.scenario.name == "golombek"
 
 
 def test_one_decision_a_second_between_400_and_50_m(env):
@@ -152,7 +154,9 @@ def test_the_first_frame_of_a_flight_takes_no_longer_than_others(env):
 
 
 def test_a_film_holds_nothing_of_the_flight_before(small_scenario, monkeypatch):
-    env = gymnasium.make(ID, scenario=small_scenario, render_mode="rgb_array_list")
+    env = gymnasium.make(
+        ID, perception="onboard", scenario=small_scenario, render_mode="rgb_array_list"
+    )
     drawn, draw = [], FrameRenderer.draw
     monkeypatch.setattr(FrameRenderer, "draw", lambda *a: drawn.append(a[0].simulation) or draw(*a))
     for seed in (1, 2):
@@ -229,7 +233,9 @@ def test_frames_show_the_map_north_up_and_east_right(env):
 
 
 def test_a_film_goes_down_to_the_terrain(small_scenario, tmp_path):
-    env = gymnasium.make(ID, scenario=small_scenario, render_mode="rgb_array_list")
+    env = gymnasium.make(
+        ID, perception="onboard", scenario=small_scenario, render_mode="rgb_array_list"
+    )
     env.reset(seed=1)
     (first,) = env.render()
     assert env.render() == []
@@ -283,25 +289,28 @@ def test_films_of_nothing_are_refused(tmp_path):
 
 
 def test_misuse_is_explained(small_scenario):
-    fresh = gymnasium.make(ID, scenario=small_scenario).unwrapped
+    fresh = gymnasium.make(ID, perception="onboard", scenario=small_scenario).unwrapped
     with pytest.raises(gymnasium.error.ResetNeeded):
         fresh.step(0)
     fresh.reset(seed=1)
     with pytest.raises(ValueError, match=r"action: must.*got 99"):
         fresh.step(99)
     with pytest.raises(ValueError, match="render_mode"):
-        RetargetEnv(small_scenario, render_mode="ansi")
+        RetargetEnv(small_scenario, render_mode="ansi", perception="onboard")
     blind = small_scenario.to_dict() | {"mappers": {}, "tasking": {}}
     blind["sensors"] = {k: v for k, v in blind["sensors"].items() if k != "flash"}
     with pytest.raises(InputError, match="mappers"):
-        RetargetEnv(small_scenario.from_dict(blind))
+        RetargetEnv(small_scenario.from_dict(blind), perception="onboard")
     with pytest.raises(InputError, match="existing TOML"):
-        gymnasium.make(ID, scenario="missing.toml")
+        gymnasium.make(ID, perception="onboard", scenario="missing.toml")
 
 
 def test_scenario_objects_are_taken(small_scenario):
     assert isinstance(small_scenario, Scenario)
-    assert gymnasium.make(ID, scenario=small_scenario).unwrapped.scenario is small_scenario
+    assert (
+        gymnasium.make(ID, perception="onboard", scenario=small_scenario).unwrapped.scenario
+        is small_scenario
+    )
 
 
 def test_example_script_runs(tmp_path, small_scenario):
