@@ -161,27 +161,3 @@ def test_covers_that_cannot_be_are_refused(covers):
     for perception in ("truth", "onboard"):
         with pytest.raises(InputError, match="cover"):
             gymnasium.make(ID, scenario=SMALL, perception=perception, covers=covers)
-
-
-def test_running_out_of_time_is_no_crash_and_is_distinguished():
-    """An episode cut off by the clock is truncated, in one environment and in a batch."""
-    # The whole computer's flight is over before its first decision.
-    for perception, limit in (("onboard", 2.0), ("surrogate", 12.0)):
-        short = SMALL.changed(simulation={"max_time_s": limit})
-        settings = KERNELS | {"scenario": short, "surrogate": made_up(short)}
-        env = gymnasium.make(ID, **(settings | {"perception": perception})).unwrapped
-        env.reset(seed=1)
-        over = late = False
-        while not over | late:
-            *_, over, late, info = env.step(0)
-        assert late and not over and info["failure_causes"] == ("time-limit",)
-        assert info["cost"] == 0.0 and info["reward_terms"]["touchdown"] == 0.0
-        assert not info["safe"]
-    many = RetargetVectorEnv(2, **settings)
-    many.reset(seed=1)
-    for _ in range(20):
-        _, _, over, late, info = many.step(np.zeros(2, int))
-        if late.any():
-            break
-    assert late.all() and not over.any() and not info["safe"].any()
-    assert (info["cost"] == 0.0).all() and (info["reward_terms"]["touchdown"] == 0.0).all()
