@@ -25,6 +25,7 @@ from PIL import Image
 import lunarsim_envs
 from lunarsim.cli import main as lunarsim_command
 from lunarsim.scenario.reference import reference_text
+from lunarsim.sensors.catalogue import catalogue_lines
 from lunarsim_envs.agents.registry import agent_of
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "reference"
@@ -55,6 +56,12 @@ observation, reward, terminated, truncated, info = env.step(0)
 | environment | decision of the agent | action space | action rate (Hz) |
 | --- | --- | --- | --- |
 """
+UNITS = f"""# Sensor units
+
+Look up units for `unit = "NAME"` in a table `[sensors.NAME]` here. {GENERATED};
+`lunarsim parts --units` prints the same. Each value has its source, or "estimated" where the
+publication has none. [Sensor units and faults](../howto/sensors.md) shows how to use them.
+"""
 SCENARIO = """# Scenario keys
 
 Look up keys of a scenario file here: a page for each table. `lunarsim scenario reference` prints
@@ -62,6 +69,9 @@ the same. A dash as default means that the key can be omitted. `NAME` is a name 
 
 If `[navigation]` is omitted, its kind is `"rocks"` with a mapper of kind `shadow`, `"fixes"` with a
 sensor of kind `navigation-fix`, and `"inertial"` otherwise.
+
+A table `[sensors.NAME]` can have the key `unit`, the name of a [sensor unit](../sensor-units.md).
+Its values replace the defaults, and `kind` can be omitted.
 
 """
 
@@ -81,7 +91,8 @@ _FRAMES: dict[str, tuple[str, dict[str, Any], int]] = {
 
 def pages() -> dict[str, str]:
     """Return the text of each generated page by its path in docs/reference."""
-    return {"commands.md": commands_page()} | environment_pages() | scenario_pages()
+    single = {"commands.md": commands_page(), "sensor-units.md": sensor_units_page()}
+    return single | environment_pages() | scenario_pages()
 
 
 def commands(group: click.Group, before: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
@@ -103,6 +114,11 @@ def commands_page() -> str:
         help_text = runner.invoke(lunarsim_command, [*words, "--help"], **options).output
         out.append(f"## lunarsim {' '.join(words)}\n\n```text\n{help_text.rstrip()}\n```\n")
     return "\n".join(out)
+
+
+def sensor_units_page() -> str:
+    """Return the page of sensor units: their values and sources."""
+    return f"{UNITS}\n```text\n{chr(10).join(catalogue_lines()).rstrip()}\n```\n"
 
 
 def environment_pages() -> dict[str, str]:

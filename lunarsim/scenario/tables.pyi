@@ -712,6 +712,7 @@ class SensorsTable(SelectedPart):
     width: int
 
 class SensorsChanges(TypedDict, total=False):
+    unit: str
     kind: str
     accelerometers: Any
     antialias: int
