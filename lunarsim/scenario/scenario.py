@@ -89,6 +89,7 @@ class Scenario:
     prior_map: tables.PriorMapTable | None
     expected_rocks: tables.ExpectedRocksTable
     sensors: Mapping[str, tables.SensorsTable]
+    sensor_faults: Mapping[str, tables.SensorFaultsTable]
     tasking: Mapping[str, tables.TaskingTable]
     navigation: tables.NavigationTable
     mappers: Mapping[str, tables.MappersTable]
@@ -311,7 +312,7 @@ class Scenario:
         out: dict[str, Any] = {}
         for f in fields(self):
             value = getattr(self, f.name)
-            if value is None:
+            if value is None or (f.name == "sensor_faults" and not value):
                 continue
             if f.name in layout.NAMED:
                 out[f.name] = {name: _dump(part) for name, part in value.items()}

@@ -776,6 +776,34 @@ class SensorsChanges(TypedDict, total=False):
     vignetting: float
     width: int
 
+class SensorFaultsTable(SelectedPart):
+    kind: str
+    channel: str
+    delay_s: float
+    direction: tuple[float, float, float]
+    end_s: float | None
+    gate_max_m: float
+    gate_min_m: float
+    rate: float
+    sensor: str
+    sigma: float
+    size: float
+    start_s: float
+
+class SensorFaultsChanges(TypedDict, total=False):
+    kind: str
+    channel: str
+    delay_s: float
+    direction: tuple[float, float, float]
+    end_s: float | None
+    gate_max_m: float
+    gate_min_m: float
+    rate: float
+    sensor: str
+    sigma: float
+    size: float
+    start_s: float
+
 class TaskingTable(SelectedPart):
     kind: str
     altitudes_m: tuple[float, ...]
@@ -872,6 +900,7 @@ class FlightChanges(TypedDict, total=False):
     control: ControlChanges
     terminal_descent: TerminalDescentChanges | None
     sensors: Mapping[str, SensorsChanges | None]
+    sensor_faults: Mapping[str, SensorFaultsChanges | None]
     tasking: Mapping[str, TaskingChanges | None]
     mappers: Mapping[str, MappersChanges | None]
 

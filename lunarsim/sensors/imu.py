@@ -112,12 +112,15 @@ class _Triad:
 
     def increments(self, truth: Array) -> Array:
         """Return measured increments (n, 3) for true increments (n, 3), rad or m/s."""
+        return self.with_offsets(truth, self.offsets(len(truth)), self.matrix)
+
+    def with_offsets(self, truth: Array, offsets: Array, matrix: Array) -> Array:
+        """Return measured increments (n, 3) with given additive errors and error matrix."""
         return np.asarray(
             kernels.sample_increments(
-                np.ascontiguousarray(truth), self.matrix, self.offsets(len(truth)),
-                self.errors.quantum, self.remainder,
+                np.ascontiguousarray(truth), matrix, offsets, self.errors.quantum, self.remainder
             )
-        )  # fmt: skip
+        )
 
 
 class Imu:

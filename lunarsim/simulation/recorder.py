@@ -143,10 +143,12 @@ class Recorder:
         policy: str,
         outcome: LandingOutcome,
         ending: dict[str, Any] | None = None,
+        fault_events: Sequence[dict[str, Any]] = (),
     ) -> Flight:
         """Build the record of the flight up to now.
 
-        `scenario` is TOML text, `policy` a name, and `ending` has values for the last event.
+        `scenario` is TOML text, `policy` a name, `ending` has values for the last event, and
+        `fault_events` are the starts and ends of faults.
         """
         maps = {
             name: MapRecord(
@@ -175,7 +177,8 @@ class Recorder:
             trajectory=self.trajectory(),
             decisions=[_as_dict(*divert) for divert in computer.diverts],
             events=sorted(
-                self._sensor_events + telemetry + last, key=lambda event: float(event["time"])
+                [*fault_events, *self._sensor_events, *telemetry, *last],
+                key=lambda event: float(event["time"]),
             ),
             maps=maps,
             decision_mapper=decided,
