@@ -248,6 +248,8 @@ class PriorMapChanges(TypedDict, total=False):
     void_fraction: float
 
 class FaultsTable(PartSettings):
+    engine_loss: float
+    engine_loss_from_s: float | None
     engine_stuck_at_n: float | None
     engine_stuck_from_s: float | None
     jets_stuck_from_s: float
@@ -255,6 +257,8 @@ class FaultsTable(PartSettings):
     jets_stuck_shut: tuple[int, ...]
 
 class FaultsChanges(TypedDict, total=False):
+    engine_loss: float
+    engine_loss_from_s: float | None
     engine_stuck_at_n: float | None
     engine_stuck_from_s: float | None
     jets_stuck_from_s: float

@@ -154,7 +154,7 @@ class Plant:
             return command
         thrust = self._faults.throttle(self.time, self._throttle, command.thrust)
         self._throttle = thrust
-        return replace(command, thrust=thrust)
+        return replace(command, thrust=self._faults.delivered(self.time, thrust))
 
     def measure(self, tasks: Sequence[SensorTask] = ()) -> Measurements:
         """Measure with all sensors that measure every cycle, and with commanded sensors.
