@@ -12,12 +12,20 @@ from lunarsim.errors import check_output
 
 @click.command()
 @click.argument("contract", required=False)
-def parts(contract: str | None) -> None:
+@click.option("--units", is_flag=True, help="List sensor units, their values and sources.")
+def parts(contract: str | None, units: bool) -> None:
     """List the components that a scenario can select.
 
     A component (part) is what a scenario selects by its `kind`, for example a guidance law.
-    CONTRACT limits the list to one type of component, for example guidance or policy.
+    CONTRACT limits the list to one type of component, for example guidance or policy. A table
+    [sensors.NAME] with unit = "NAME" starts from the values of a unit that --units lists.
     """
+    if units:
+        from lunarsim.sensors.catalogue import catalogue_lines
+
+        for line in catalogue_lines():
+            click.echo(line)
+        return
     from lunarsim.scenario.reference import parts_list
 
     for line in parts_list(contract):

@@ -26,6 +26,7 @@ from PIL import Image
 import lunarsim_envs
 from lunarsim.cli import main as lunarsim_command
 from lunarsim.scenario.reference import reference_text
+from lunarsim.sensors.catalogue import catalogue_lines
 from lunarsim.simulation.columns import SAMPLE_FIELDS, SCHEMA_VERSION, TABLES, Table
 from lunarsim_envs.agents.registry import agent_of
 
@@ -57,6 +58,12 @@ observation, reward, terminated, truncated, info = env.step(0)
 | environment | decision of the agent | action space | action rate (Hz) |
 | --- | --- | --- | --- |
 """
+UNITS = f"""# Sensor units
+
+Look up units for `unit = "NAME"` in a table `[sensors.NAME]` here. {GENERATED};
+`lunarsim parts --units` prints the same. Each value has its source, or "estimated" where the
+publication has none. [Sensor units and faults](../howto/sensors.md) shows how to use them.
+"""
 SCENARIO = """# Scenario keys
 
 Look up keys of a scenario file here: a page for each table. `lunarsim scenario reference` prints
@@ -64,6 +71,9 @@ the same. A dash as default means that the key can be omitted. `NAME` is a name 
 
 If `[navigation]` is omitted, its kind is `"rocks"` with a mapper of kind `shadow`, `"fixes"` with a
 sensor of kind `navigation-fix`, and `"inertial"` otherwise.
+
+A table `[sensors.NAME]` can have the key `unit`, the name of a [sensor unit](../sensor-units.md).
+Its values replace the defaults, and `kind` can be omitted.
 
 """
 RECORD = f"""# Flight record
@@ -115,7 +125,10 @@ _FRAMES: dict[str, tuple[str, dict[str, Any], int]] = {
 
 def pages() -> dict[str, str]:
     """Return the text of each generated page by its path in docs/reference."""
-    single = {"commands.md": commands_page(), "flight-record.md": record_page()}
+    single = {
+        "commands.md": commands_page(), "flight-record.md": record_page(),
+        "sensor-units.md": sensor_units_page(),
+    }  # fmt: skip
     return single | environment_pages() | scenario_pages()
 
 
@@ -163,6 +176,11 @@ def _table_section(table: Table) -> str:
         frame = re.split("[,:]", group.frame)[0]
         rows += f"| {shown} | {group.unit} | {frame} | {group.meaning} |\n"
     return f"\n## {table.name}\n\n{table.rows[0].upper()}{table.rows[1:]}; {dtype}.\n\n{rows}"
+
+
+def sensor_units_page() -> str:
+    """Return the page of sensor units: their values and sources."""
+    return f"{UNITS}\n```text\n{chr(10).join(catalogue_lines()).rstrip()}\n```\n"
 
 
 def environment_pages() -> dict[str, str]:

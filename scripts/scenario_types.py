@@ -77,6 +77,8 @@ def _print_classes(table: str, keys: dict[str, set[str]], *, has_kind: bool) -> 
         print(f"    {key}: {kind}")
     print()
     print(f"class {name}Changes(TypedDict, total=False):")
+    if table == "sensors":
+        print("    unit: str")
     for key, kind in written.items():
         print(f"    {key}: {kind}")
     print()

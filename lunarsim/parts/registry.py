@@ -76,6 +76,19 @@ CONTRACTS: dict[str, Contract] = {
         },
         ("measurement_type", "is_tasked", "calibration"),
     ),
+    "sensor-fault": Contract(
+        "fault of a sensor",
+        {
+            "bias": "lunarsim.sensors.faults:BiasFault",
+            "drift": "lunarsim.sensors.faults:DriftFault",
+            "noise": "lunarsim.sensors.faults:NoiseFault",
+            "dropout": "lunarsim.sensors.faults:DropoutFault",
+            "frozen": "lunarsim.sensors.faults:FrozenFault",
+            "latency": "lunarsim.sensors.faults:LatencyFault",
+            "range-gate": "lunarsim.sensors.faults:RangeGateFault",
+        },
+        ("is_active", "applies_to", "apply"),
+    ),
     "tasking": Contract(
         "pointing and timing of a sensor's measurements",
         {

@@ -9,7 +9,14 @@ from collections.abc import Mapping
 from functools import cache, partial
 from typing import Annotated, Any, Union
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, create_model
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    create_model,
+    model_validator,
+)
 
 from lunarsim.errors import InputError
 from lunarsim.parts.quantity import Quantity, quantity_of
@@ -89,6 +96,9 @@ def _source_of(model: type[BaseModel]) -> tuple[type, dict[str, tuple[str, Quant
 def settings_of(cls: type) -> type[PartSettings]:
     """Generate the pydantic model of the scenario table that configures a dataclass.
 
+    A class with a static method `convert_table` receives the table of a scenario file before the
+    check, and returns the table to check.
+
     Raises
     ------
     TypeError
@@ -120,9 +130,14 @@ def settings_of(cls: type) -> type[PartSettings]:
         fields[key] = annotation, Field(default, description=q.help if q else None)
         keys[key] = (f.name, q)
     doc = (cls.__doc__ or "").strip().splitlines()
+    convert = getattr(cls, "convert_table", None)
+    validators: dict[str, Any] = {}
+    if convert is not None:
+        validators["convert_table"] = model_validator(mode="before")(convert)
     model: type[PartSettings] = create_model(
-        cls.__name__, __base__=PartSettings, __doc__=doc[0] if doc else None, **fields
-    )
+        cls.__name__, __base__=PartSettings, __doc__=doc[0] if doc else None,
+        __validators__=validators, **fields,
+    )  # fmt: skip
     _SOURCES[model] = (cls, keys)
     return model
 

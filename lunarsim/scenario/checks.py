@@ -16,6 +16,7 @@ from lunarsim.onboard.hazards.mapper import check_map_size, sensor_names
 from lunarsim.onboard.hazards.shadows.mapping import ShadowMapping
 from lunarsim.onboard.perception.shadow_model import MAX_SUN_ELEVATION, MIN_SUN_ELEVATION
 from lunarsim.parts import loadable_parts
+from lunarsim.sensors.faults import channels_of
 
 
 class PartTable(Protocol):
@@ -42,6 +43,11 @@ class CheckedTables(Protocol):
     @property
     def sensors(self) -> Mapping[str, PartTable]:
         """Tables of the sensors, by sensor name."""
+        ...
+
+    @property
+    def sensor_faults(self) -> Mapping[str, PartTable]:
+        """Tables of the sensor faults, by fault name."""
         ...
 
     @property
@@ -122,10 +128,11 @@ def check(scenario: CheckedTables) -> None:
     InputError
         If a check fails; the error names the first invalid field.
     """
-    for table in ("sensors", "tasking", "mappers"):
+    for table in ("sensors", "sensor_faults", "tasking", "mappers"):
         _check_names(table, getattr(scenario, table))
     sensors = {name: part.make() for name, part in scenario.sensors.items()}
     _check_unique_sensors(sensors)
+    _check_sensor_faults(scenario, sensors)
     _check_filter_states(scenario)
     _check_mappers(scenario, sensors)
     _check_navigation(scenario, sensors)
@@ -144,7 +151,7 @@ def check(scenario: CheckedTables) -> None:
 def _check_names(table: str, parts: Mapping[str, PartTable]) -> None:
     """Check that the names of tables are valid names of files and columns.
 
-    `table` is the group of the named tables: sensors, tasking or mappers.
+    `table` is the group of the named tables, for example sensors.
     """
     for name in parts:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", name):
@@ -166,6 +173,31 @@ def _check_unique_sensors(sensors: dict[str, Any]) -> None:
             raise InputError(
                 f"sensors.{names[1]}", names, f"must not be a second {noun}",
                 f"Keep only one of these sensors: {', '.join(names)}.", show_value=False,
+            )  # fmt: skip
+
+
+def _check_sensor_faults(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
+    """Check that each sensor fault names a sensor that can have it."""
+    for name, part in scenario.sensor_faults.items():
+        fault, field = part.make(), f"sensor_faults.{name}"
+        if fault.sensor not in sensors:
+            raise InputError(
+                f"{field}.sensor", fault.sensor, "must be the name of a sensor",
+                suggestion(fault.sensor, sensors),
+            )  # fmt: skip
+        measured, kind = sensors[fault.sensor].measurement_type, scenario.sensors[fault.sensor].kind
+        if not fault.applies_to(measured):
+            possible = [k for k, f in loadable_parts("sensor-fault") if f.applies_to(measured)]
+            raise InputError(
+                f"{field}.kind", part.kind, f"is not possible for a sensor of kind {kind!r}",
+                f"Kinds for this sensor: {', '.join(possible)}.",
+            )  # fmt: skip
+        channel, known = getattr(fault, "channel", ""), channels_of(measured)
+        if channel and channel not in known:
+            raise InputError(
+                f"{field}.channel", channel,
+                f"must be a quantity that a sensor of kind {kind!r} measures",
+                f"Quantities: {', '.join(known)}.",
             )  # fmt: skip
 
 

@@ -71,6 +71,9 @@ def input_error(
         table without a `kind`.
     """
     first = error.errors(include_url=False)[0]
+    cause = first.get("ctx", {}).get("error")
+    if isinstance(cause, InputError):  # from a conversion of the table
+        return cause.with_field(f"{path}.{cause.field}")
     location = [str(step) for step in first["loc"]]
     field = path + "".join(_key_text(step) for step in first["loc"])
     table, depth = _table_at(model, first["loc"])

@@ -81,6 +81,7 @@ NAMED: dict[str, tuple[str, dict[str, dict[str, Any]]]] = {
             "flash": {"kind": "flash-lidar"},
         },
     ),
+    "sensor_faults": ("sensor-fault", {}),
     "tasking": ("tasking", {"flash": {"kind": "at-altitudes"}}),
     "mappers": ("mapper", {"dem": {"kind": "gaussian-dem"}}),
 }

@@ -107,7 +107,7 @@ RENAMED_SCENARIOS: dict[str, str] = {
     "two_eyes": "camera_and_lidar",
 }
 # Tables of named parts: their second step is a name and never a key.
-_NAMED = ("sensors", "tasking", "mappers")
+_NAMED = ("sensors", "sensor_faults", "tasking", "mappers")
 
 
 def current_path(path: str) -> str:

@@ -24,6 +24,7 @@ from lunarsim.scenario.checks import check
 from lunarsim.scenario.errors import input_error, key_hint, unknown_key_error
 from lunarsim.scenario.files import parsed_toml, read_toml
 from lunarsim.scenario.resource_estimate import check_memory
+from lunarsim.sensors.catalogue import complete_table, with_unit_values
 
 if TYPE_CHECKING:
     from lunarsim.models.lander import Lander
@@ -43,10 +44,13 @@ class SelectedPart:
         Kind of the component: a registered name or "module:Class".
     table
         Values of the keys other than `kind`.
+    unit
+        Name of the sensor unit whose values the table started from; None: no unit.
     """
 
     kind: str
     table: PartSettings
+    unit: str | None = None
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
@@ -85,6 +89,7 @@ class Scenario:
     prior_map: tables.PriorMapTable | None
     expected_rocks: tables.ExpectedRocksTable
     sensors: Mapping[str, tables.SensorsTable]
+    sensor_faults: Mapping[str, tables.SensorFaultsTable]
     tasking: Mapping[str, tables.TaskingTable]
     navigation: tables.NavigationTable
     mappers: Mapping[str, tables.MappersTable]
@@ -308,7 +313,7 @@ class Scenario:
         out: dict[str, Any] = {}
         for f in fields(self):
             value = getattr(self, f.name)
-            if value is None:
+            if value is None or (f.name == "sensor_faults" and not value):
                 continue
             if f.name in layout.NAMED:
                 out[f.name] = {name: _dump(part) for name, part in value.items()}
@@ -346,7 +351,8 @@ def _from_process(tables: dict[str, Any], modules: tuple[str, ...]) -> Scenario:
 
 def _dump(value: Any) -> Any:
     if isinstance(value, SelectedPart):
-        return {"kind": value.kind, **_dump(value.table)}
+        unit = {} if value.unit is None else {"unit": value.unit}
+        return {"kind": value.kind, **unit, **_dump(value.table)}
     if isinstance(value, PartSettings):
         return value.model_dump(mode="json", exclude_none=True)
     return value
@@ -360,6 +366,7 @@ def _merged(old: Any, change: Any) -> Any:
     """
     if not (isinstance(old, dict) and isinstance(change, Mapping)):
         return change
+    change = with_unit_values(change)
     if "kind" in change and change["kind"] != old.get("kind", change["kind"]):
         return dict(change)
     new = dict(old)
@@ -398,13 +405,17 @@ def _selected_part(
     if isinstance(value, str):
         raise InputError(path, value, f'must be a table [{path}] with kind = "{value}"')
     data = dict(_mapping(path, value))
+    unit = None
+    if contract == "sensor":
+        data = complete_table(path, data)
+        unit = data.pop("unit", None)
     kind = data.pop("kind", default)
     if not isinstance(kind, str):
         problem = "is required" if kind is None else "must be a text in quotes"
         known = f"Known names: {', '.join(kinds(contract))}."
         raise InputError(f"{path}.kind", kind, problem, known, kind is not None)
     part_class = resolve(contract, kind, f"{path}.kind")
-    return SelectedPart(kind, _table(path, part_class, data, folder, contract, kind))
+    return SelectedPart(kind, _table(path, part_class, data, folder, contract, kind), unit)
 
 
 def _absolute_path(field: str, path: Path, folder: Path | None) -> Path:

@@ -197,6 +197,10 @@ def _unused_key_warnings(scenario: Scenario) -> Iterator[str]:
             only=("min_block_crater_diameter_m",),
         )  # fmt: skip
     yield from _unused_terrain_keys(scenario)
+    for name, part in scenario.sensor_faults.items():
+        for key in ("size", "rate", "sigma"):
+            if getattr(part.table, key, None) == 0.0:
+                yield f"sensor_faults.{name}.{key} = 0: no effect, because the fault has no size."
     if scenario.policy.kind == "no-divert":
         yield from _unused_keys(
             "decisions", scenario.decisions, "policy 'no-divert' never diverts", ignored=("map",)

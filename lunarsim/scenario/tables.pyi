@@ -248,6 +248,8 @@ class PriorMapChanges(TypedDict, total=False):
     void_fraction: float
 
 class FaultsTable(PartSettings):
+    engine_loss: float
+    engine_loss_from_s: float | None
     engine_stuck_at_n: float | None
     engine_stuck_from_s: float | None
     jets_stuck_from_s: float
@@ -255,6 +257,8 @@ class FaultsTable(PartSettings):
     jets_stuck_shut: tuple[int, ...]
 
 class FaultsChanges(TypedDict, total=False):
+    engine_loss: float
+    engine_loss_from_s: float | None
     engine_stuck_at_n: float | None
     engine_stuck_from_s: float | None
     jets_stuck_from_s: float
@@ -718,6 +722,7 @@ class SensorsTable(SelectedPart):
     width: int
 
 class SensorsChanges(TypedDict, total=False):
+    unit: str
     kind: str
     accelerometers: Any
     antialias: int
@@ -780,6 +785,34 @@ class SensorsChanges(TypedDict, total=False):
     velocity_m_s: float
     vignetting: float
     width: int
+
+class SensorFaultsTable(SelectedPart):
+    kind: str
+    channel: str
+    delay_s: float
+    direction: tuple[float, float, float]
+    end_s: float | None
+    gate_max_m: float
+    gate_min_m: float
+    rate: float
+    sensor: str
+    sigma: float
+    size: float
+    start_s: float
+
+class SensorFaultsChanges(TypedDict, total=False):
+    kind: str
+    channel: str
+    delay_s: float
+    direction: tuple[float, float, float]
+    end_s: float | None
+    gate_max_m: float
+    gate_min_m: float
+    rate: float
+    sensor: str
+    sigma: float
+    size: float
+    start_s: float
 
 class TaskingTable(SelectedPart):
     kind: str
@@ -878,6 +911,7 @@ class FlightChanges(TypedDict, total=False):
     control: ControlChanges
     terminal_descent: TerminalDescentChanges | None
     sensors: Mapping[str, SensorsChanges | None]
+    sensor_faults: Mapping[str, SensorFaultsChanges | None]
     tasking: Mapping[str, TaskingChanges | None]
     mappers: Mapping[str, MappersChanges | None]
 

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.messages.measurements import InertialSamples
-from lunarsim.models.inertial_unit import TACTICAL_ACCELEROMETERS, TACTICAL_GYROSCOPES, TriadErrors
+from lunarsim.models.inertial_unit import (
+    ACCELEROMETER_UNITS,
+    GYROSCOPE_UNITS,
+    TACTICAL_ACCELEROMETERS,
+    TACTICAL_GYROSCOPES,
+    TriadErrors,
+    in_si_units,
+)
 from lunarsim.models.instruments import InertialInstrument
 from lunarsim.parts.quantity import quantity
 from lunarsim.sensors import _imu_kernels as kernels
@@ -33,6 +40,24 @@ class ImuSettings:
 
     measurement_type: ClassVar[type] = InertialSamples
     is_tasked: ClassVar[bool] = False
+
+    @staticmethod
+    def convert_table(table: Any) -> Any:
+        """Return a scenario table with values in datasheet units converted to SI units.
+
+        Raises
+        ------
+        InputError
+            If a text is not a number and a unit that its key allows.
+        """
+        units = {"gyroscopes": GYROSCOPE_UNITS, "accelerometers": ACCELEROMETER_UNITS}
+        out = dict(table)
+        for triad in units.keys() & out.keys():
+            try:
+                out[triad] = in_si_units(out[triad], units[triad])
+            except InputError as error:
+                raise error.with_field(f"{triad}.{error.field}") from None
+        return out
 
     def build(self, rng: np.random.Generator, step: float) -> Imu:
         """Return the unit of one flight; its constant errors and noise come from `rng`.
@@ -61,6 +86,9 @@ class _Triad:
         np.fill_diagonal(mixed, errors.scale_factor * rng.standard_normal(3))
         self.matrix = np.eye(3) + mixed
         self.remainder = np.zeros(3)
+        self.instability = np.zeros(3)
+        if errors.bias_instability > 0.0:
+            self.instability = errors.instability_sigma * rng.standard_normal(3)
 
     def offsets(self, n: int) -> Array:
         """Sample the additive errors (n, 3), bias and noise, of the next n increments."""
@@ -69,16 +97,30 @@ class _Triad:
         noise = e.random_walk * np.sqrt(dt) * self.rng.standard_normal((n, 3))
         bias = self.bias + np.cumsum(walk, axis=0)
         self.bias = bias[-1].copy()
+        if e.bias_instability > 0.0:
+            bias += self._instability_errors(n)
         return np.asarray(bias * dt + noise)
+
+    def _instability_errors(self, n: int) -> Array:
+        """Sample the Gauss-Markov bias errors (n, 3) of the next n samples, u/s."""
+        keep = np.exp(-self.step / self.errors.correlation_time)
+        noise = self.errors.instability_sigma * np.sqrt(1.0 - keep**2)
+        out = np.empty((n, 3))
+        for i, drawn in enumerate(noise * self.rng.standard_normal((n, 3))):
+            self.instability = out[i] = keep * self.instability + drawn
+        return out
 
     def increments(self, truth: Array) -> Array:
         """Return measured increments (n, 3) for true increments (n, 3), rad or m/s."""
+        return self.with_offsets(truth, self.offsets(len(truth)), self.matrix)
+
+    def with_offsets(self, truth: Array, offsets: Array, matrix: Array) -> Array:
+        """Return measured increments (n, 3) with given additive errors and error matrix."""
         return np.asarray(
             kernels.sample_increments(
-                np.ascontiguousarray(truth), self.matrix, self.offsets(len(truth)),
-                self.errors.quantum, self.remainder,
+                np.ascontiguousarray(truth), matrix, offsets, self.errors.quantum, self.remainder
             )
-        )  # fmt: skip
+        )
 
 
 class Imu:

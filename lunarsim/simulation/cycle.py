@@ -73,11 +73,11 @@ def _fly_compiled(
     The results are those of `_fly_stepwise`.
     """
     d, gyros = plant.dynamics, imu.gyroscopes
+    offsets = gyros.offsets(plant.steps)  # also sets the matrix of these samples
     history, increments, torques = k.fly_cycle_steps(
         plant.state.as_vector(), plant.steps, d.step, d.thrust(thrust), d.params, d.inertia,
         d.plain_rig, loop.state, loop.target, loop.gains, loop.inertia, loop.torque_max,
-        d.lander.torque_scale, gyros.matrix, gyros.offsets(plant.steps), gyros.errors.quantum,
-        gyros.remainder,
+        d.lander.torque_scale, gyros.matrix, offsets, gyros.errors.quantum, gyros.remainder,
     )  # fmt: skip
     return history, increments, torques
 

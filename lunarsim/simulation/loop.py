@@ -19,8 +19,10 @@ from lunarsim.onboard.policies.contract import Decision, Observation, Retargetin
 from lunarsim.parts import resolve, settings_of
 from lunarsim.rng import RandomStreams
 from lunarsim.scenario import Scenario
+from lunarsim.sensors.faults import SensorFault
 from lunarsim.simulation.columns import CommandCycle, Cycle
 from lunarsim.simulation.cycle import fly_cycle
+from lunarsim.simulation.fault_events import fault_events
 from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.mission import plan
 from lunarsim.simulation.plant import Plant
@@ -86,6 +88,17 @@ def _recorded_sensors(scenario: Scenario) -> list[str]:
         if getattr(sensor, "is_recorded", False)
         or (keeps_all and not issubclass(sensor.measurement_type, CameraImage))
     ]
+
+
+def _sensor_faults(
+    scenario: Scenario, streams: RandomStreams
+) -> dict[str, list[tuple[SensorFault, np.random.Generator]]]:
+    """Create the sensor faults by sensor, with the generators of their random numbers."""
+    found: dict[str, list[tuple[SensorFault, np.random.Generator]]] = {}
+    for name, part in scenario.sensor_faults.items():
+        rng = streams.get(f"sensor_faults.{name}")
+        found.setdefault(part.sensor, []).append((part.make(), rng))
+    return found
 
 
 class Simulation:
@@ -161,6 +174,7 @@ class Simulation:
             legs=None if scenario.legs is None else scenario.legs.make(),
             actuators=_actuators(scenario, lander, clock.step),
             faults=_faults(scenario, lander),
+            sensor_faults=_sensor_faults(scenario, self.streams),
         )
         # A policy that uses the truth is queried here; any other runs on the computer.
         self._oracle = self.policy if getattr(self.policy, "knows_truth", False) else None
@@ -340,6 +354,7 @@ class Simulation:
             outcome=self.outcome or LandingOutcome(False, ("unfinished",), None),
             ending=self._ending_details(),
             actuators=[] if self.plant.actuators is None else self.plant.actuators.commands,
+            fault_events=fault_events(self.scenario, self.time),
         )
 
     def _ending_details(self) -> dict[str, Any]:

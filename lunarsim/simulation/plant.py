@@ -17,6 +17,8 @@ from lunarsim.messages.commands import Command, SensorTask
 from lunarsim.messages.measurements import InertialSamples, Measurements
 from lunarsim.models.gimbal import limit_mount
 from lunarsim.onboard.component_errors import wrong_result_error
+from lunarsim.sensors.faults import ActiveFaults
+from lunarsim.sensors.faulty_sensor import FaultyImu, FaultySensor
 from lunarsim.sensors.imu import Imu
 from lunarsim.sensors.interface import Sensor, SensorPart
 from lunarsim.typing import Array
@@ -56,13 +58,17 @@ class Instrument:
     part: SensorPart
 
     @classmethod
-    def of(cls, part: SensorPart, rng: np.random.Generator, step: float) -> Instrument:
+    def of(
+        cls, part: SensorPart, rng: np.random.Generator, step: float, faults: ActiveFaults = ()
+    ) -> Instrument:
         """Build a sensor for one flight from its settings in the scenario.
 
-        `rng` generates its noise; `step` is the integration step, s.
+        `rng` generates its noise; `step` is the integration step, s. `faults` are its faults.
         """
         build = getattr(part, "build", None)
         sensor: Any = part if build is None else build(rng, step)
+        if faults:
+            sensor = (FaultyImu if isinstance(sensor, Imu) else FaultySensor)(sensor, faults)
         limit = getattr(part.calibration(), "gimbal_limit", np.pi)
         return cls(sensor, rng, part.is_tasked, limit, part)
 
@@ -84,6 +90,8 @@ class Plant:
         Thrusters, gimbal and throttle of the lander; None: torques act as commanded.
     faults
         Faults of a lander without actuators: an engine throttle that sticks.
+    sensor_faults
+        Faults of the sensors by the name of the sensor.
     legs
         Legs, whose simulated motion after touchdown decides the outcome; None: the state at
         touchdown decides it.
@@ -107,6 +115,7 @@ class Plant:
         max_time: float,
         actuators: Actuators | None = None,
         faults: Faults | None = None,
+        sensor_faults: Mapping[str, ActiveFaults] | None = None,
         legs: Legs | None = None,
     ) -> None:
         self.world = world
@@ -122,7 +131,8 @@ class Plant:
         self.outcome: LandingOutcome | None = None
         self.steps = steps
         made = {
-            name: Instrument.of(part, rng, dynamics.step) for name, (part, rng) in sensors.items()
+            name: Instrument.of(part, rng, dynamics.step, (sensor_faults or {}).get(name, ()))
+            for name, (part, rng) in sensors.items()
         }
         units: list[tuple[str, Any]] = [(name, one.sensor) for name, one in made.items()]
         for name, unit in units:
@@ -144,13 +154,16 @@ class Plant:
             return command
         thrust = self._faults.throttle(self.time, self._throttle, command.thrust)
         self._throttle = thrust
-        return replace(command, thrust=thrust)
+        return replace(command, thrust=self._faults.delivered(self.time, thrust))
 
     def measure(self, tasks: Sequence[SensorTask] = ()) -> Measurements:
         """Measure with all sensors that measure every cycle, and with commanded sensors.
 
         `tasks` are the commanded measurements.
         """
+        for instrument in self._instruments.values():
+            if isinstance(instrument.sensor, FaultySensor):
+                instrument.sensor.observe(self.time, self.state)
         items: list[tuple[str, object]] = [
             (name, self._measure(name, None))
             for name, instrument in self._instruments.items()
@@ -162,7 +175,7 @@ class Plant:
     def _measure(self, name: str, mount: Array | None) -> object | None:
         """Return a measurement of a sensor by name, after a check of its type.
 
-        None: the sensor measures on its own, and not in this cycle.
+        None: the sensor measures on its own, and not in this cycle, or a fault makes it silent.
 
         `mount` (3, 3) is the commanded rotation, sensor to body, which is limited to the gimbal
         limit; None: no command.
@@ -170,7 +183,7 @@ class Plant:
         i = self._instruments[name]
         held = None if mount is None else limit_mount(mount.copy(), i.gimbal_limit)
         found = i.sensor.measure(self.world, self.state, self.time, i.rng, held)
-        if found is None and not i.is_tasked:
+        if found is None and (not i.is_tasked or getattr(i.sensor, "is_silent", False)):
             return None
         if not isinstance(found, i.part.measurement_type):
             wanted = f"a measurement of type {i.part.measurement_type.__name__}"

@@ -150,11 +150,13 @@ class Recorder:
         outcome: LandingOutcome,
         ending: dict[str, Any] | None = None,
         actuators: Sequence[Array] = (),
+        fault_events: Sequence[dict[str, Any]] = (),
     ) -> Flight:
         """Build the record of the flight up to now.
 
         `scenario` is TOML text, `policy` a name, `ending` has values for the last event, and
-        `actuators` are the commands of `vehicle.actuators.Actuators`.
+        `actuators` are the commands of `vehicle.actuators.Actuators`, and `fault_events` the starts
+        and ends of faults.
         """
         maps = {
             name: MapRecord(
@@ -189,7 +191,8 @@ class Recorder:
             else {},
             decisions=[_as_dict(*divert) for divert in computer.diverts],
             events=sorted(
-                self._sensor_events + telemetry + last, key=lambda event: float(event["time"])
+                [*fault_events, *self._sensor_events, *telemetry, *last],
+                key=lambda event: float(event["time"]),
             ),
             maps=maps,
             decision_mapper=decided,

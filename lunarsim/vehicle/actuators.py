@@ -83,8 +83,12 @@ class Actuators:
     def set_throttle(self, commanded_thrust: float) -> float:
         """Set the throttle to a commanded thrust, N, within its limits and faults.
 
-        Returns the resulting throttle setting, N; 0 shuts the engine down.
+        Returns the thrust that the engines deliver, N; 0 shuts the engine down.
         """
+        return self.faults.delivered(self._time, self._throttle_setting(commanded_thrust))
+
+    def _throttle_setting(self, commanded_thrust: float) -> float:
+        """Set the throttle and return its setting, N."""
         engine, stuck = self.lander.engine, self.faults.engine_stuck_from
         if stuck is not None and self._time >= stuck:
             self._throttle = self.faults.throttle(self._time, self._throttle, commanded_thrust)

@@ -13,7 +13,7 @@ from lunarsim.parts.quantity import check_bounds, quantity
 
 @dataclass(frozen=True)
 class Faults:
-    """Settings of stuck thrusters and a stuck throttle.
+    """Settings of stuck thrusters, a stuck throttle and lost engines.
 
     The faults are unknown to the onboard computer.
 
@@ -28,6 +28,8 @@ class Faults:
     engine_stuck_at
         Thrust of the stuck engine, N; None: the last commanded thrust, or the first if stuck from
         the start.
+    engine_loss_from, engine_loss
+        Time from which a fraction of the thrust is lost, s; None: never. The fraction.
     """
 
     jets_stuck_shut: tuple[int, ...] = quantity(
@@ -51,6 +53,17 @@ class Faults:
         ge=0,
         help="thrust of the engine while its throttle is stuck; omitted: the last thrust before "
         "the fault",
+    )
+
+    engine_loss_from: float | None = quantity(
+        None,
+        "s",
+        ge=0,
+        help="time in the flight from which a fraction of the engine thrust is lost, as by a lost "
+        "engine of several; omitted: never",
+    )
+    engine_loss: float = quantity(
+        0.5, gt=0, le=1, help="fraction of the thrust lost from engine_loss_from_s; 0.5: one of two"
     )
 
     def __post_init__(self) -> None:
@@ -81,6 +94,14 @@ class Faults:
         if self.engine_stuck_at is not None:
             return self.engine_stuck_at
         return commanded_thrust if previous_setting is None else previous_setting
+
+    def delivered(self, time: float, thrust: float) -> float:
+        """Return the thrust that the engines deliver, N.
+
+        `time` is in s, and `thrust` the throttle setting, N.
+        """
+        lost = self.engine_loss_from is not None and time + 1e-9 >= self.engine_loss_from
+        return thrust * (1.0 - self.engine_loss) if lost else thrust
 
     def check_plain(self) -> None:
         """Raise `InputError` if thruster faults are set for a lander without thrusters."""

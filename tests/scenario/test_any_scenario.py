@@ -35,7 +35,7 @@ def _every_key():
                 ((name,), kind, path) for path in _keys(settings_of(resolve(contract, kind)), ())
             )
     for name, (contract, default) in layout.NAMED.items():
-        own = next(iter(default)) if name != "sensors" else "flash"
+        own = "flash" if name == "sensors" else next(iter(default), "fault")
         for kind in kinds(contract):
             keys = _keys(settings_of(resolve(contract, kind)), ())
             yield from (((name, own), kind, path) for path in keys)
@@ -64,6 +64,8 @@ def _tables(table, kind, path, value):
         inner = {key: inner}
     if kind is not None:
         inner = {"kind": kind} | inner
+    if table[:1] == ("sensor_faults",):
+        inner = {"sensor": "flash"} | inner
     for name in reversed(table):
         inner = {name: inner}
     return inner

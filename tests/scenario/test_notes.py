@@ -27,6 +27,10 @@ def test_the_default_study_has_nothing_odd():
     ("tables", "begins", "told"),
     [
         (
+            {"sensor_faults": {"a": {"kind": "bias", "sensor": "altimeter"}}},
+            "sensor_faults.a.size = 0", "no effect",
+        ),
+        (
             {"vehicle": {"dry_mass_kg": 400.0, "inertia_dry_kg_m2": [1100.0, 1100.0, 1300.0]}},
             "vehicle.inertia_dry_kg_m2: ", "for 400 kg",
         ),

@@ -141,3 +141,19 @@ def test_what_gyroscopes_gave_on_the_way_is_not_sampled_again():
     assert np.array_equal(
         samples.velocity, second.sample_trajectory(rows, 0.01, 1.622, 0.1).velocity
     )
+
+
+def test_bias_instability_is_the_maximum_of_the_allan_deviation():
+    """An averaging time of 1.89 correlation times shows the value of the datasheet."""
+    errors = TriadErrors(bias_instability=1e-4, correlation_time=5.0)
+    units = [Imu(np.random.default_rng(seed), 20.0, errors, TriadErrors()) for seed in range(2)]
+    found = [allan_deviation(u.measure(STILL, STILL)[0], 0.05, 189) for u in units]
+    # 6 axes of 20000 s are 12700 averaging times: a relative deviation of about 1 %.
+    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(1e-4, rel=0.06)
+
+
+def test_bias_instability_widens_what_the_filter_expects():
+    errors = TriadErrors(bias=3e-6, bias_instability=0.617 * 4e-6, bias_walk=6e-7,
+                         correlation_time=50.0)  # fmt: skip
+    assert errors.total_bias_sigma == pytest.approx(5e-6)
+    assert errors.total_bias_walk == pytest.approx(1e-6)

@@ -236,6 +236,8 @@ def test_an_engine_that_sticks_on_a_lander_without_thrusters(law, stuck):
     )
     assert plain.outcome.safe
     assert not odd.outcome.safe
+    started = [event for event in odd.events if event["name"] == "fault-started"]
+    assert started == [{"time": 5.0, "name": "fault-started", "fault": "throttle"}]
     time, thrust = odd.trajectory["time"], odd.trajectory["thrust"]
     late, held = time > 7.0, thrust[time > 7.0][0]
     assert thrust[late] == pytest.approx(held, rel=1e-3, abs=1e-3)

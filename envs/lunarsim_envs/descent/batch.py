@@ -90,9 +90,9 @@ class VehicleParams:
             raise InputError("vehicle.kind", "jet-lander", "must be 'lander' in this environment")
         for table, remedy in (
             ("legs", ""), ("faults", "Use the table [domain_randomization] for failures."),
-            ("moon", ""),
+            ("sensor_faults", "This environment has no sensors."), ("moon", ""),
         ):  # fmt: skip
-            if getattr(scenario, table) is not None:
+            if getattr(scenario, table) not in (None, {}):
                 raise InputError(
                     table, None, "must be omitted, because this environment does not support it",
                     remedy, show_value=False,

@@ -80,8 +80,11 @@ def _check_supported(scenario: Scenario, guidance: Any) -> None:
             "truth.vehicle", None, "must be omitted for this perception",
             "Otherwise use perception='onboard'.", show_value=False,
         )  # fmt: skip
-    for table in ("braking", "window", "terminal_descent", "domain_randomization", "prior_map"):
-        if getattr(scenario, table) is not None:
+    for table in (
+        "braking", "window", "terminal_descent", "domain_randomization", "prior_map",
+        "sensor_faults",
+    ):  # fmt: skip
+        if getattr(scenario, table) not in (None, {}):
             remedy = (
                 "" if table == "domain_randomization" else "Otherwise use perception='onboard'."
             )

@@ -151,8 +151,8 @@ class StrapdownState:
             [
                 accelerometers.random_walk,
                 gyroscopes.random_walk,
-                accelerometers.bias_walk,
-                gyroscopes.bias_walk,
+                accelerometers.total_bias_walk,
+                gyroscopes.total_bias_walk,
             ]
         )
         # Random walk while samples are missing: 1 m/s^2 of thrust and 2 deg of rotation in 1 s.
@@ -167,11 +167,11 @@ class StrapdownState:
         self._bias_sigma = (
             float(
                 np.hypot(
-                    accelerometers.bias,
+                    accelerometers.total_bias_sigma,
                     3.0 * np.hypot(accelerometers.scale_factor, accelerometers.misalignment),
                 )
             ),
-            gyroscopes.bias,
+            gyroscopes.total_bias_sigma,
         )
 
     @classmethod

@@ -1,0 +1,94 @@
+"""Named sensor units of the catalogue, through scenario keys."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from click.testing import CliRunner
+
+import lunarsim
+from lunarsim.cli import main
+from lunarsim.models.inertial_unit import TriadErrors
+from lunarsim.parts.settings import settings_of
+from lunarsim.sensors.catalogue import sensor_units
+
+SENSORS = {
+    "imu": {"kind": "imu"},
+    "altimeter": {"kind": "radar-altimeter"},
+    "velocimeter": {"kind": "velocimeter"},
+    "stars": {"kind": "star-tracker"},
+}
+
+
+def scenario(**changed):
+    """Scenario with one sensor of each kind and some of their tables changed."""
+    flash = {"flash": {"kind": "flash-lidar", "rows": 16, "cols": 16}}
+    return lunarsim.Scenario.from_dict({"sensors": SENSORS | flash | changed})
+
+
+@pytest.mark.parametrize("name", sensor_units())
+def test_each_unit_flies_and_each_value_has_a_source(name):
+    unit = sensor_units()[name]
+    if unit.kind == "camera":
+        extra = {"tasking": {"cam": {"kind": "periodic"}, "flash": {"kind": "at-altitudes"}}}
+        made = lunarsim.Scenario.from_dict(
+            {"sensors": SENSORS | {"flash": {"kind": "flash-lidar"}, "cam": {"unit": name}}} | extra
+        )
+        part = made.sensors["cam"]
+    else:
+        own = next(k for k, t in (SENSORS | {"flash": {"kind": "flash-lidar"}}).items()
+                   if t["kind"] == unit.kind)  # fmt: skip
+        part = scenario(**{own: {"unit": name}}).sensors[own]
+    assert (part.kind, part.unit) == (unit.kind, name)
+    assert unit.source
+    assert all(source for _, source in unit.values.values())
+    if unit.kind == "imu":  # omitted keys would be those of the default unit
+        keys = set(settings_of(TriadErrors).model_fields) - {"correlation_time_s"}
+        wanted = {f"{triad}.{key}" for triad in ("gyroscopes", "accelerometers") for key in keys}
+        assert set(unit.values) == wanted
+
+
+def test_a_unit_fills_keys_in_si_units_that_the_scenario_overrides():
+    imu = {"unit": "STIM300", "gyroscopes": {"scale_factor": "100 ppm"}}
+    made = scenario(imu=imu).sensors["imu"].make()
+    assert made.gyroscopes.bias_instability == pytest.approx(math.radians(0.5 / 3600.0))
+    assert made.gyroscopes.random_walk == pytest.approx(math.radians(0.15 / 60.0))
+    assert made.gyroscopes.scale_factor == pytest.approx(1e-4)
+    assert made.accelerometers.bias == pytest.approx(0.75e-3 * 9.80665)
+    assert made.accelerometers.random_walk == pytest.approx(0.06 / 60.0)
+
+
+def test_another_unit_keeps_keys_that_it_does_not_have():
+    first = scenario(stars={"unit": "RIGEL-L", "boresight": [1.0, 0.0, 0.0]})
+    second = first.changed(sensors={"stars": {"unit": "ALTAIR-HB+"}})
+    stars = second.sensors["stars"]
+    assert (stars.roll_noise_deg, stars.boresight) == (0.0167, (1.0, 0.0, 0.0))
+    again = lunarsim.Scenario.from_toml(second.to_toml())
+    assert again.sensors["stars"] == stars
+    assert second.changed(sensors={"stars": {"roll_noise_deg": 0.02}}).sensors["stars"].unit
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({"unit": "LN-200"}, "sensors.imu.unit: must be the name of a sensor unit, got 'LN-200'. "
+         "Units: STIM300, HG1700"),
+        ({"unit": "NDL", "kind": "imu"}, "sensors.imu.unit: must be a unit of kind 'imu', "
+         "got 'NDL'. NDL is of kind 'velocimeter'."),
+        ({"kind": "imu", "gyroscopes": {"bias": "1 mg"}}, "sensors.imu.gyroscopes.bias: must be "
+         "a number in SI units, or a text with a number and its unit, got '1 mg'. "
+         "Texts for this key: '0.5 deg/h' or '0.5 deg/s'."),
+    ],
+)  # fmt: skip
+def test_mistakes_name_field_value_and_remedy(table, message):
+    with pytest.raises(lunarsim.InputError) as caught:
+        scenario(imu=table)
+    assert message in str(caught.value)
+
+
+def test_the_command_prints_values_and_sources():
+    text = CliRunner().invoke(main, ["parts", "--units"]).output
+    assert "STIM300 (imu)" in text
+    assert "0.5 deg/h" in text
+    assert "gyro bias instability" in text

@@ -1,0 +1,250 @@
+"""Sensor faults in flight: each kind against the same flight without the fault.
+
+Until a fault starts, both flights are the same, bit by bit. At the first faulty measurement the
+true states are therefore equal, and the difference of the measurements is the fault.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import lunarsim
+from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
+from lunarsim.scenario.changes import with_values
+from lunarsim.simulation.recorder import MessageRecorder
+from tests.chance import ratio_bounds
+
+START = 1.05
+CYCLE = 0.1
+SCENARIO = lunarsim.Scenario.from_dict({
+    "terrain": {"size_m": 1000.0, "posting_m": 2.0},
+    "simulation": {"cycle_s": CYCLE},
+    "start": {"position_m": [-150.0, 0.0, 300.0], "velocity_m_s": [10.0, 0.0, -12.0]},
+    "initial_uncertainty": {},
+    "sensors": {
+        "imu": {"kind": "imu"},
+        "altimeter": {"kind": "radar-altimeter"},
+        "velocimeter": {"kind": "velocimeter"},
+        "stars": {"kind": "star-tracker"},
+        "flash": {"kind": "flash-lidar", "rows": 32, "cols": 32},
+    },
+    "tasking": {"flash": {"kind": "periodic", "rate_hz": 10.0, "first_altitude_m": 1000.0}},
+    "mappers": {"dem": {"kind": "gaussian-dem", "posting_m": 0.5, "size_m": 40.0}},
+})  # fmt: skip
+
+
+def flown(seconds=1.5, **faults):
+    """Messages by sensor and time, and the record, of a flight of some seconds."""
+    tables = {name: {"start_s": START} | table for name, table in faults.items()}
+    scenario = SCENARIO.changed(sensor_faults=tables) if tables else SCENARIO
+    tap = MessageRecorder()
+    simulation = lunarsim.Simulation(scenario, 3, None, tap=tap)
+    while simulation.time < seconds - 1e-9:
+        simulation.move()
+    found = {}
+    for measurements, _, _ in tap.exchanges:
+        for sensor, measurement in measurements.items:
+            found[sensor, round(measurements.time, 6)] = measurement
+    return found, simulation.flight()
+
+
+@cache
+def nominal():
+    return flown()[0]
+
+
+def pair(sensor, time=1.1, **fault):
+    """The measurement at the first faulty cycle, with and without a fault."""
+    with_fault = flown(fault={"sensor": sensor, **fault})[0]
+    before = round(time - CYCLE, 6)
+    fields = vars(with_fault[sensor, before])
+    for name, value in vars(nominal()[sensor, before]).items():
+        np.testing.assert_array_equal(fields[name], value)
+    return with_fault.get((sensor, time)), nominal()[sensor, time]
+
+
+def test_bias_of_a_range():
+    faulty, usual = pair("altimeter", kind="bias", size=-30.0)
+    assert faulty.range == pytest.approx(usual.range - 30.0)
+    assert (faulty.time, faulty.sigma) == (usual.time, usual.sigma)
+
+
+def test_bias_of_speeds_and_of_ranges():
+    faulty, usual = pair("velocimeter", kind="bias", size=0.5)
+    np.testing.assert_allclose(faulty.speed - usual.speed, 0.5)
+    np.testing.assert_array_equal(faulty.range, usual.range)
+    faulty, usual = pair("velocimeter", kind="bias", size=7.0, channel="range")
+    np.testing.assert_allclose(faulty.range - usual.range, 7.0)
+
+
+def test_a_bias_below_the_terrain_is_no_return():
+    faulty, _ = pair("altimeter", kind="bias", size=-1000.0)
+    assert np.isnan(faulty.range)
+
+
+def test_bias_of_an_attitude_turns_about_a_body_axis():
+    faulty, usual = pair("stars", kind="bias", size=0.02, direction=[0.0, 1.0, 0.0])
+    turn = quat_multiply(quat_conjugate(usual.attitude), faulty.attitude)
+    np.testing.assert_allclose(quat_to_rotation_vector(turn), [0.0, 0.02, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("channel", "field", "atol"), [("", "angle", 2e-6), ("acceleration", "velocity", 2e-4)]
+)
+def test_bias_of_an_inertial_unit(channel, field, atol):
+    """The samples of 0.01 s from 1.05 s on have the error, within two quantization steps."""
+    faulty, usual = pair("imu", kind="bias", size=0.01, channel=channel, direction=[1.0, 0.0, 0.0])
+    error = getattr(faulty, field) - getattr(usual, field)
+    expected = np.zeros((5, 3))
+    expected[4, 0] = 1e-4  # later samples differ also because the control reacts
+    np.testing.assert_allclose(error[:5], expected, atol=atol)
+
+
+def test_drift_grows_from_the_start():
+    faulty, usual = pair("altimeter", kind="drift", rate=20.0)
+    assert faulty.range - usual.range == pytest.approx(20.0 * (1.1 - START))
+
+
+def test_noise_has_its_sigma_in_every_pixel():
+    faulty, usual = pair("flash", kind="noise", sigma=2.0)
+    error = (faulty.range - usual.range)[np.isfinite(usual.range)] / 2.0
+    assert len(error) > 500
+    low, high = ratio_bounds(len(error))
+    assert low < np.mean(error**2) < high
+
+
+def test_dropout_is_silent_until_its_end():
+    found, _ = flown(fault={"sensor": "stars", "kind": "dropout", "end_s": 1.35},
+                     other={"sensor": "flash", "kind": "dropout"})  # fmt: skip
+    for sensor, last in (("stars", 1.3), ("flash", 9.0)):
+        times = sorted(time for name, time in nominal() if name == sensor)
+        kept = [time for time in times if not START <= time <= last]
+        assert 0 < len(kept) < len(times)
+        assert sorted(time for name, time in found if name == sensor) == kept
+
+
+def test_a_frozen_sensor_repeats_its_last_measurement():
+    faulty, usual = pair("altimeter", kind="frozen")
+    assert faulty.range == nominal()["altimeter", 1.0].range
+    assert faulty.time == usual.time
+    found, _ = flown(fault={"sensor": "imu", "kind": "frozen"})
+    last = nominal()["imu", 1.1]  # the first complete cycle after the start is the next one
+    for field in ("angle", "velocity"):
+        repeated = np.tile(getattr(last, field)[-1], (10, 1))
+        np.testing.assert_allclose(getattr(found["imu", 1.2], field), repeated, atol=1e-15)
+
+
+def test_latency_delivers_older_measurements_with_current_stamps():
+    exact = {"altimeter": {"noise_ratio": 0.0, "noise_floor_m": 1e-9}}
+    tap = MessageRecorder()
+    scenario = SCENARIO.changed(
+        sensors=exact,
+        sensor_faults={"late": {"kind": "latency", "sensor": "altimeter", "delay_s": 0.25,
+                                "start_s": START}},
+    )  # fmt: skip
+    simulation = lunarsim.Simulation(scenario, 3, None, tap=tap)
+    while simulation.time < 1.5:
+        simulation.move()
+    ranges = {round(m.time, 6): dict(m.items)["altimeter"] for m, _, _ in tap.exchanges}
+    # 0.25 s before 1.1 s is 0.85 s: the last cycle before is that of 0.8 s.
+    assert ranges[1.1].range == pytest.approx(ranges[0.8].range, abs=1e-6)
+    assert ranges[1.1].time == pytest.approx(1.1)
+    assert abs(ranges[0.9].range - ranges[0.8].range) > 0.5
+
+
+def test_a_wrong_range_gate_loses_returns_outside():
+    usual = nominal()["velocimeter", 1.1]
+    limit = float(np.mean(usual.range))
+    faulty, _ = pair("velocimeter", kind="range-gate", gate_max_m=limit)
+    lost = usual.range > limit
+    assert lost.any()
+    assert not lost.all()
+    for field in ("range", "speed", "speed_sigma", "range_sigma"):
+        np.testing.assert_array_equal(np.isnan(getattr(faulty, field)), lost)
+        np.testing.assert_array_equal(getattr(faulty, field)[~lost], getattr(usual, field)[~lost])
+
+
+def test_starts_and_ends_are_events_and_seeds_repeat():
+    faults = {
+        "cliff": {"sensor": "altimeter", "kind": "bias", "size": 3.0, "end_s": 1.2},
+        "hiss": {"sensor": "velocimeter", "kind": "noise", "sigma": 0.1},
+        "later": {"sensor": "stars", "kind": "dropout", "start_s": 90.0},
+    }
+    _, first = flown(**faults)
+    events = [e for e in first.events if e["name"].startswith("fault")]
+    assert events == [
+        {"time": START, "name": "fault-started", "fault": "cliff", "kind": "bias",
+         "sensor": "altimeter"},
+        {"time": START, "name": "fault-started", "fault": "hiss", "kind": "noise",
+         "sensor": "velocimeter"},
+        {"time": 1.2, "name": "fault-ended", "fault": "cliff", "kind": "bias",
+         "sensor": "altimeter"},
+    ]  # fmt: skip
+    _, second = flown(**faults)
+    for name, column in first.trajectory.items():
+        np.testing.assert_array_equal(column, second.trajectory[name])
+
+
+def test_faults_that_never_start_change_no_bit():
+    never = {"start_s": 1e4}
+    faults = {
+        f"{sensor}-{kind}": {"sensor": sensor, "kind": kind, **never}
+        for sensor, kinds in {
+            "imu": ("bias", "drift", "noise", "frozen"),
+            "altimeter": ("bias", "drift", "noise", "dropout", "frozen", "latency", "range-gate"),
+            "flash": ("noise", "frozen", "latency"),
+        }.items()
+        for kind in kinds
+    }
+    _, usual = flown()
+    _, with_faults = flown(**faults)
+    for name, column in usual.trajectory.items():
+        np.testing.assert_array_equal(column, with_faults.trajectory[name])
+
+
+def test_navigation_reports_a_biased_velocimeter():
+    words = {"covariance-inflated", "drift", "beam-excluded", "lost"}
+    usual, faulty = (
+        {event["name"] for event in flown(6.0, **faults)[1].events}
+        for faults in ({}, {"fault": {"sensor": "velocimeter", "kind": "bias", "size": 0.5}})
+    )
+    assert not usual & words
+    assert faulty & words
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({"sensor": "imu", "kind": "dropout"}, "sensor_faults.a.kind: is not possible for a sensor "
+         "of kind 'imu', got 'dropout'. Kinds for this sensor: bias, drift, noise, frozen."),
+        ({"sensor": "stars", "kind": "range-gate"}, "Kinds for this sensor: bias, drift, noise, "
+         "dropout, frozen, latency."),
+        ({"sensor": "altimetre", "kind": "bias"}, "sensor_faults.a.sensor: must be the name of a "
+         "sensor, got 'altimetre'. Did you mean 'altimeter'?"),
+        ({"sensor": "altimeter", "kind": "bias", "channel": "speed"}, "sensor_faults.a.channel: "
+         "must be a quantity that a sensor of kind 'radar-altimeter' measures, got 'speed'. "
+         "Quantities: range."),
+        ({"sensor": "altimeter", "kind": "bias", "start_s": 5.0, "end_s": 4.0},
+         "sensor_faults.a.end_s: must be later than start_s, which is 5 s, got 4.0."),
+        ({"sensor": "altimeter", "kind": "range-gate", "gate_min_m": 5.0, "gate_max_m": 4.0},
+         "sensor_faults.a.gate_min_m: must be less than gate_max_m, which is 4 m, got 5.0."),
+        ({"sensor": "altimeter", "kind": "stuck"}, "sensor_faults.a.kind: "),
+    ],
+)  # fmt: skip
+def test_what_makes_no_sense_is_refused(table, message):
+    with pytest.raises(lunarsim.InputError) as caught:
+        SCENARIO.changed(sensor_faults={"a": table})
+    assert message in str(caught.value)
+
+
+def test_dispersions_and_options_reach_the_keys():
+    made = SCENARIO.changed(sensor_faults={"a": {"sensor": "altimeter", "kind": "bias"}})
+    changed = with_values(made, {"sensor_faults.a.size": 4.0, "sensor_faults.a.start_s": 2.0}, "x")
+    fault = changed.sensor_faults["a"]
+    assert (fault.size, fault.start_s) == (4.0, 2.0)
+    assert lunarsim.Scenario.from_toml(changed.to_toml()).sensor_faults["a"].size == 4.0
+    assert "a" not in changed.changed(sensor_faults={"a": None}).sensor_faults
+    assert "sensor_faults" not in SCENARIO.to_dict()
