@@ -38,9 +38,9 @@ _MODE = gymnasium.vector.AutoresetMode
 class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     """Choose the landing sites of many landers at once, flown by compiled kernels.
 
-    It is the vector version of `RetargetEnv`, with the same arguments. Environment i with seed s gives bitwise
-    the same episodes as a single environment with seed s + i, for any number of environments and
-    threads.
+    It is the vector version of `RetargetEnv`, with the same arguments. Environment i with seed s
+    gives bitwise the same episodes as a single environment with seed s + i, for any number of
+    environments and threads.
     """
 
     def __init__(

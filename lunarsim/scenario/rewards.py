@@ -81,10 +81,9 @@ class DescentReward:
     Attributes
     ----------
     safe, crash
-        Reward for a touchdown within all limits, and for any other touchdown.
+        Reward for a touchdown within all limits, and for any other touchdown, at the target.
     no_landing
-        Reward for a flight that ends without touchdown: at the time limit, far away or below the
-        map.
+        Reward for a flight that ends without touchdown: at the time limit or far away.
     propellant
         Penalty per kilogram of propellant.
     miss
@@ -93,7 +92,8 @@ class DescentReward:
         Maximum penalty for the distance of a crash from the target. It applies at the distance of
         the planned start and beyond; closer crashes cost proportionally less.
     excess
-        Penalty for exceeding a limit by a factor of e, summed over speeds, tilt and rate.
+        Penalty for exceeding a limit by a factor of e, summed over speeds, tilt and rate. A crash
+        outside the stored terrain costs the maximum, a factor of e^3 for each limit.
     shaping
         Weight of the shaping potential; 0 disables it.
     """
@@ -102,8 +102,7 @@ class DescentReward:
     crash: float = quantity(0.0, help="Reward for a touchdown at the target that violates a limit")
     no_landing: float = quantity(
         -15.0,
-        help="Reward for a flight that ends without touchdown: at the time limit, far away or "
-        "below the map",
+        help="Reward for a flight that ends without touchdown: at the time limit or far away",
     )
     propellant: float = quantity(0.002, ge=0, help="Penalty per kilogram of propellant used")
     miss: float = quantity(

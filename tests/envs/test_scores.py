@@ -118,7 +118,7 @@ def flown(env, agent, seed):
     lanes = descents.lanes
     start = np.linalg.norm(env.unwrapped.descents.scenario.start.position_m)
     away = np.linalg.norm(lanes.y[0, :3] - lanes.target[0]) / start
-    lost = {"time-limit", "off-map"} & set(info["failure_causes"])
+    lost = {"time-limit", "flown-away"} & set(info["failure_causes"])
     outcome = "safe" if info["safe"] else "no landing" if lost else "crash"
     return outcome, away, info["score"], total, info["failure_causes"]
 
@@ -152,7 +152,7 @@ def test_scores_rank_landings_over_crashes_over_flights_without_touchdown():
     assert min(len(safe), len(crash), len(lost)) > 10
     assert safe.min() > crash.max() and crash.min() > lost.max()
     causes = {cause for *_, told in flights().values() for cause in told}
-    assert {"time-limit", "off-map"} < causes
+    assert {"time-limit", "flown-away", "off-map"} < causes
 
 
 def test_a_crash_near_the_target_has_a_higher_score_than_one_far_away():
@@ -187,7 +187,7 @@ def test_a_flight_ends_farther_than_one_and_a_half_starts_away(options, planned)
     while not over:
         seen, _, over, truncated, info = env.step(np.float32([-1.0, 0.0, 1.0]))
         distances.append(np.linalg.norm(seen[:3]))
-    assert not truncated and not info["safe"] and info["failure_causes"] == ("off-map",)
+    assert not truncated and not info["safe"] and info["failure_causes"] == ("flown-away",)
     assert info["cost"] == 1.0 and info["reward_terms"]["touchdown"] == -15.0
     assert max(distances[:-1]) <= 1.5 * planned < distances[-1] < 1.5 * planned + 40.0
     with pytest.raises(gymnasium.error.ResetNeeded):

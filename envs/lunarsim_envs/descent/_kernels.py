@@ -20,7 +20,7 @@ from lunarsim.vehicle._kernels import advance_bodies
 from lunarsim_envs.descent import _loop_kernels as loop
 
 # Status of a flight.
-FLYING, LANDED, LOST, LATE = 0, 1, 2, 3
+FLYING, LANDED, LOST, LATE, AWAY = 0, 1, 2, 3, 4
 # Random draws reserved for each flight.
 _DRAWS = 16
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
@@ -234,8 +234,7 @@ def _end_without_touchdown(i, y, time_limit, flights):
     for k in range(3):
         squares += (y[k] - flights.target[i, k]) ** 2
     if squares > flights.max_distance[i] ** 2:
-        flights.ended[i] = LOST
-        flights.failed[i] = OFF_MAP
+        flights.ended[i] = AWAY
 
 
 @kernel()

@@ -9,7 +9,7 @@ import numpy as np
 
 from lunarsim._jit import kernel
 from lunarsim.core.touchdown import LIMITS, VALUES
-from lunarsim_envs.descent._kernels import FLYING, LANDED
+from lunarsim_envs.descent._kernels import FLYING, LANDED, LOST
 
 # Reward terms in the order of their sum, and the row of each in an array of terms.
 TERMS = ("touchdown", "propellant", "miss", "excess", "severity", "shaping")
@@ -68,7 +68,7 @@ def _norm(x, y, z):
 
 @kernel(exact=True)
 def _nearness(y, target, params):
-    """Return T / (T + sqrt(r / 2 a)), which is 1 at the target; see `reference_velocity`."""
+    """Return T / (T + sqrt(r / 2 a)), with the symbols of `reference_velocity`; at most 1."""
     east, north = y[0] - target[0], y[1] - target[1]
     up = max(y[2] - target[2] - params.com_height, 0.0)
     return _LAST / (
@@ -172,7 +172,7 @@ def reward_terms(
             miss = _norm(y[i, 0] - target[i, 0], y[i, 1] - target[i, 1], 0.0)
             terms[_TOUCHDOWN, i] = w.safe
             terms[_MISS, i] = -w.miss * min(miss, MAX_MISS_M)
-        elif ended[i] == LANDED:
+        elif ended[i] == LANDED or ended[i] == LOST:
             terms[_TOUCHDOWN, i] = w.crash
             terms[_EXCESS, i] = -w.excess * _excess(touchdown_values[i], params)
             terms[_SEVERITY, i] = -w.severity * _severity(y[i], target[i], params)

@@ -31,7 +31,7 @@ from lunarsim.vehicle.touchdown import (
 from lunarsim_envs.descent import _kernels as k
 from lunarsim_envs.descent.worlds import WorldPool
 
-FLYING, LANDED, LOST, LATE = k.FLYING, k.LANDED, k.LOST, k.LATE
+FLYING, LANDED, LOST, LATE, AWAY = k.FLYING, k.LANDED, k.LOST, k.LATE, k.AWAY
 # Compute time per lane and step, microseconds.
 _STEP = 0.1
 # Values of the randomized parameters without domain randomization.
@@ -194,8 +194,8 @@ class DescentBatch:
     time
         Time since the start of each flight (n,), s.
     ended
-        State of the flight: FLYING, LANDED (a pad has touched), LOST (far away or below the map) or
-        LATE (time limit) (n,).
+        State of the flight: FLYING, LANDED (a pad has touched), LOST (below the terrain, outside
+        the stored map), LATE (time limit) or AWAY (too far from the target) (n,).
     failed
         Violated touchdown limits (n,), one bit each in the order of `core.touchdown.CAUSES`.
     touchdown_values
@@ -206,8 +206,8 @@ class DescentBatch:
     world_ranges
         Index of the first world that each lane may use, and number of these worlds (n, 2).
     max_distance
-        Distance of each lander from its target at which the flight ends (n,), m. It is the planned
-        distance at the start times `max_distance_ratio`.
+        Distance of each lander from its target at which the flight ends (n,), m. It is the distance
+        at the start, at least the planned one, times `max_distance_ratio`.
     has_key
         Whether each lane has a random key (n,).
     params
@@ -299,7 +299,7 @@ class DescentBatch:
                 STANDARD_GRAVITY, self._true_params, self.randomized, self.params, self.y,
             )  # fmt: skip
         planned = np.linalg.norm(self.craft.start[:3])
-        start = np.linalg.norm(self.starts[mask, :3], axis=1)
+        start = np.linalg.norm(self.y[mask, :3] - self.target[mask], axis=1)
         self.max_distance[mask] = self.max_distance_ratio * np.maximum(start, planned)
         self.failed[mask] = 0
         self.touchdown_values[mask] = np.nan
@@ -351,8 +351,8 @@ class DescentBatch:
         """Return why the flight of a lander failed: the names of the violated limits.
 
         `lane` is the index of the lander. A flight that reached the time limit gives
-        ``("time-limit",)``, a safe landing ``()``.
+        ``("time-limit",)``, one too far from its target ``("flown-away",)``, a safe landing ``()``.
         """
-        if self.ended[lane] == LATE:
-            return ("time-limit",)
+        if self.ended[lane] in (LATE, AWAY):
+            return ("time-limit" if self.ended[lane] == LATE else "flown-away",)
         return violated_limits(int(self.failed[lane]))

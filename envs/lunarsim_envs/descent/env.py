@@ -246,17 +246,17 @@ class GuidanceEnv(DescentEnv):
 
     The reward is the sum of the terms in ``info["reward_terms"]``:
 
-    - ``touchdown``: +10 for a touchdown within all limits, -4 for any other touchdown, -15 for a
-      flight without touchdown.
+    - ``touchdown``: +10 for a touchdown within all limits, 0 for a crash, -15 for a flight without
+      touchdown.
     - ``propellant``: -0.002 per kilogram.
     - ``miss``: -0.1 per metre between a safe touchdown and the target, up to 50 m.
     - ``severity``: up to -6 for the distance of a crash from the target, relative to that of the
       planned start.
-    - ``excess``: -0.2 ln(value / limit), at most -0.6, for each limit of speed, tilt and rate that
-      a crash exceeds.
+    - ``excess``: -0.1 ln(value / limit), at most -0.3, for each limit of speed, tilt and rate that
+      a crash exceeds. A crash outside the stored terrain costs the maximum.
     - ``shaping``: difference of a potential, which falls with the deviation of the velocity from
-      one that leads to the target with constant deceleration. It is 0 after the end, so the sum
-      over an episode depends only on the start state.
+      one that leads to the target with constant deceleration and, near the target, with the angular
+      rate. It is 0 after the end, so the sum over an episode depends only on the start state.
 
     ``info["score"]`` at the end is the sum without shaping. Every safe landing has a higher score
     than any crash, and every crash a higher score than any flight without touchdown; weights that
@@ -288,11 +288,11 @@ class GuidanceEnv(DescentEnv):
 
     ## Episode End
 
-    The episode terminates at touchdown, below the map, at 1.5 times the planned start distance from
-    the target, and at the time limit of the scenario (120 s). The simulation evaluates the
-    touchdown (``info["safe"]``, ``info["failure_causes"]``). ``info`` then also has ``time_s``,
-    ``propellant_kg`` used, ``miss_m``, the horizontal distance from the target, and ``score``. In a
-    vector environment,
+    The episode terminates at touchdown (outside the stored terrain 1 m below its lowest point), at
+    1.5 times the start distance from the target (``"flown-away"``), and at the time limit of the
+    scenario (120 s, ``"time-limit"``). The simulation evaluates the touchdown (``info["safe"]``,
+    ``info["failure_causes"]``). ``info`` then also has ``time_s``, ``propellant_kg`` used,
+    ``miss_m``, the horizontal distance from the target, and ``score``. In a vector environment,
     ``info["failure_causes"]`` has one bit for each limit in
     `lunarsim.core.touchdown.CAUSES`.
 

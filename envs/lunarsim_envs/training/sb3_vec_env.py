@@ -96,10 +96,10 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
             infos[lane] = {
                 "terminal_observation": _lane_observation(info["final_obs"], lane),
                 "TimeLimit.truncated": bool(truncated[lane]),
-                "safe": bool(info["safe"][lane]),
             }
-            if "miss_m" in info:
-                infos[lane]["miss_m"] = float(info["miss_m"][lane])
+            for name, kind in (("safe", bool), ("miss_m", float)):
+                if name in info:
+                    infos[lane][name] = kind(info[name][lane])
         return observation, reward.astype(np.float32), over, infos
 
     def close(self) -> None:

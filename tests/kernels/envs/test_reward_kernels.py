@@ -7,7 +7,15 @@ import pytest
 
 from lunarsim.core.touchdown import VALUES
 from lunarsim.scenario import Scenario
-from lunarsim_envs.descent.batch import FLYING, LANDED, LATE, LOST, DescentBatch, VehicleParams
+from lunarsim_envs.descent.batch import (
+    AWAY,
+    FLYING,
+    LANDED,
+    LATE,
+    LOST,
+    DescentBatch,
+    VehicleParams,
+)
 from lunarsim_envs.descent.rewards import DescentWeights, Rewards
 from lunarsim_envs.descent.worlds import WorldPool
 from tests.reference import descent_reward as plain
@@ -38,7 +46,7 @@ def lanes():
     lanes.y[:, 3:6] = 0.1 * scale * rng.normal(0.0, 1.0, (COUNT, 3))
     lanes.y[:, 10:13] = rng.normal(0.0, 0.2, (COUNT, 3))
     lanes.y[:, 13] = rng.uniform(1000.0, 1500.0, COUNT)
-    lanes.ended[:] = rng.choice([FLYING, LANDED, LOST, LATE], COUNT)
+    lanes.ended[:] = rng.choice([FLYING, LANDED, LOST, LATE, AWAY], COUNT)
     lanes.failed[:] = np.where(rng.random(COUNT) < 0.5, 0, rng.integers(1, 512, COUNT))
     # From well within the limits to far above the largest excess that counts, either sign.
     limits = np.array(
@@ -65,9 +73,10 @@ def test_terms_are_those_of_numpy(lanes, weights):
     )
     assert rewards.potential() == pytest.approx(first, rel=1e-14)
     before = mass, np.where(started, first, 0.0)
-    landed, lost = lanes.ended == LANDED, (lanes.ended == LOST) | (lanes.ended == LATE)
+    landed, lost = (np.isin(lanes.ended, ends) for ends in ((LANDED, LOST), (LATE, AWAY)))
+    safe = (lanes.ended == LANDED) & (lanes.failed == 0)
     arguments = (
-        lanes.target, landed, lost, landed & (lanes.failed == 0), lanes.touchdown_values[:, MOTION],
+        lanes.target, landed, lost, safe, lanes.touchdown_values[:, MOTION],
     )  # fmt: skip
     y = lanes.y.copy()
     for _ in range(2):  # the second step starts with what the first has stored
