@@ -358,7 +358,6 @@ class RecordChanges(TypedDict, total=False):
     measurements: bool
 
 class SiteRewardTable(PartSettings):
-    discount: float
     hazard: float
     information: float
     invalid: float
@@ -370,7 +369,6 @@ class SiteRewardTable(PartSettings):
     unsafe: float
 
 class SiteRewardChanges(TypedDict, total=False):
-    discount: float
     hazard: float
     information: float
     invalid: float
@@ -383,9 +381,9 @@ class SiteRewardChanges(TypedDict, total=False):
 
 class DescentRewardTable(PartSettings):
     crash: float
-    discount: float
     excess: float
     miss: float
+    no_landing: float
     propellant: float
     safe: float
     severity: float
@@ -393,9 +391,9 @@ class DescentRewardTable(PartSettings):
 
 class DescentRewardChanges(TypedDict, total=False):
     crash: float
-    discount: float
     excess: float
     miss: float
+    no_landing: float
     propellant: float
     safe: float
     severity: float

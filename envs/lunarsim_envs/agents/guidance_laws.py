@@ -1,4 +1,4 @@
-"""Fly ``Guidance-v1`` and ``Control-v1`` with the guidance laws of the onboard computer."""
+"""Fly descent environments with the guidance laws of the onboard computer."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ _FORMAT = "lunarsim network 2"
 
 @dataclass(frozen=True)
 class Network:
-    """Multilayer perceptron (tanh) that maps scaled observations of a descent to actions.
+    """Multilayer perceptron (tanh) from scaled observations of a descent to actions.
 
     Attributes
     ----------

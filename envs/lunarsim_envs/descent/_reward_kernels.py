@@ -68,7 +68,10 @@ def _norm(x, y, z):
 
 @kernel(exact=True)
 def _nearness(y, target, params):
-    """Return T / (T + sqrt(r / 2 a)), with the symbols of `reference_velocity`; at most 1."""
+    """Return how near the target is: T / (T + sqrt(r / 2 a)), from 0 to 1.
+
+    `reference_velocity` defines the symbols.
+    """
     east, north = y[0] - target[0], y[1] - target[1]
     up = max(y[2] - target[2] - params.com_height, 0.0)
     return _LAST / (
@@ -116,9 +119,9 @@ def _potential(y, target, params):
 
 @kernel(exact=True)
 def _severity(y, target, params):
-    """Return the distance from the target relative to that of the planned start, at most 1.
+    """Return the distance from the target over that of the planned start.
 
-    `y` (15,) is the state of the lander and `target` (3,) its target.
+    It is at most 1. `y` (15,) is the state of the lander and `target` (3,) its target.
     """
     away = _norm(y[0] - target[0], y[1] - target[1], y[2] - target[2])
     return min(away / params.start_distance, 1.0)

@@ -191,7 +191,7 @@ class DescentEnvCore:
         return physical if self.scaling is None else self.scaling.scaled(physical)
 
     def physical(self, observation: ArrayLike) -> NDArray[np.float32]:
-        """Return the components (..., size), SI, of observations as `observe` returns them."""
+        """Return observations of `observe` as components (..., size) in SI units."""
         given = np.asarray(observation, np.float32)
         return given if self.scaling is None else self.scaling.physical(given)
 
