@@ -43,7 +43,8 @@ SPLITS = ("train", "validation", "test")
 def world_seed(root: int, world: int, split: str = "train") -> np.random.SeedSequence:
     """Return the seed sequence of a world of a pool.
 
-    `root` is the root seed, `world` the number of the world, and `split` one of `SPLITS`. World k of the split "train" is that of flight k of a campaign.
+    `root` is the root seed, `world` the number of the world, and `split` one of `SPLITS`. World k
+    of the split "train" is that of flight k of a campaign.
     """
     own = () if split == "train" else (zlib.crc32(split.encode()),)
     return np.random.SeedSequence(root, spawn_key=(*own, world))

@@ -81,9 +81,9 @@ def checked_covers(covers: Any) -> tuple[float, ...]:
 
 def checked_split(split: Any) -> str:
     """Return the name of a split of worlds; an unknown name raises an `InputError`."""
-    if split not in SPLITS:
+    if not isinstance(split, str) or split not in SPLITS:
         raise InputError("split", split, f"must be one of {', '.join(SPLITS)}")
-    return str(split)
+    return split
 
 
 def checked_bool(field: str, value: Any) -> bool:
