@@ -118,7 +118,7 @@ class DescentReward:
         "farther; proportionally smaller for a nearer crash",
     )
     excess: float = quantity(
-        0.1,
+        0.2,
         ge=0,
         help="Additional penalty for a crash: this weight times ln(value / limit), at most 3, "
         "summed over the exceeded touchdown limits of speed, tilt and angular rate",

@@ -179,7 +179,7 @@ def test_shaping_reports_the_same_of_every_flight_from_one_start():
             causes |= {descents.lanes.failure_causes(i) for i in ended}
             waiting &= ~terminated
         assert told == pytest.approx(wanted, rel=1e-9)
-    assert {(), ("time-limit",), ("off-map",)} <= causes
+    assert {(), ("time-limit",), ("flown-away",)} <= causes
 
 
 @pytest.mark.parametrize("seed", range(40))

@@ -31,8 +31,9 @@ class Actions:
     Attributes
     ----------
     low, middle, high
-        Physical values of the actions -1, 0 and 1 (size,), m/s^2, or N and N m. Values between them
-        are interpolated linearly.
+        Physical values of the actions -1, 0 and 1 (size,), m/s^2, or N and N m. Between them the
+        difference to `middle` grows with the square of the action, so that small commands, which a
+        touchdown needs, are well resolved.
     """
 
     def __init__(self, lander: Lander, gravity: float, *, guided: bool) -> None:
@@ -84,7 +85,7 @@ class Actions:
             raise ValueError(f"action{first}: must be between -1 and 1, got {value:.7g}.")
         limited = _limited(wide)
         span = np.where(limited < 0.0, self.middle - self.low, self.high - self.middle)
-        return np.asarray(self.middle + span * limited)
+        return np.asarray(self.middle + span * limited * np.abs(limited))
 
     def action(self, physical: ArrayLike) -> NDArray[np.float32]:
         """Return the action from -1 to 1 closest to values in physical units (..., size)."""
@@ -92,7 +93,8 @@ class Actions:
         span = np.where(offset < 0.0, self.middle - self.low, self.high - self.middle)
         # The span is 0 below the middle if the minimum thrust is the weight without propellant.
         with np.errstate(divide="ignore"):
-            return _limited(offset / span).astype(np.float32)
+            squares = _limited(offset / span)
+        return np.asarray(np.sign(squares) * np.sqrt(np.abs(squares)), np.float32)
 
 
 def _limited(values: Array) -> Array:

@@ -218,8 +218,8 @@ class GuidanceEnv(DescentEnv):
 
     ``Box(-1, 1, (3,))`` at 5 Hz: commanded thrust acceleration, ENU. East and north range from
     -A / 2 to A / 2, up from 0 to A, with A = thrust_max / dry_mass (5.45 m/s^2). Action 0 is a
-    vertical thrust equal to the weight; between -1, 0 and 1 the acceleration is interpolated
-    linearly. Commands beyond the thrust range or the maximum tilt of the scenario's approach are
+    vertical thrust equal to the weight; the difference to it grows with the square of the action, so
+    that small commands are well resolved. Commands beyond the thrust range or the maximum tilt of the scenario's approach are
     limited as for a guidance law. ``env.unwrapped.descents.actions.action(acceleration)`` converts
     m/s^2 to an action.
 
@@ -246,13 +246,13 @@ class GuidanceEnv(DescentEnv):
 
     The reward is the sum of the terms in ``info["reward_terms"]``:
 
-    - ``touchdown``: +10 for a touchdown within all limits, 0 for a crash, -15 for a flight without
-      touchdown.
+    - ``touchdown``: +10 for a touchdown within all limits, -4 for a crash, -15 for a flight
+      without touchdown.
     - ``propellant``: -0.002 per kilogram.
     - ``miss``: -0.1 per metre between a safe touchdown and the target, up to 50 m.
     - ``severity``: up to -6 for the distance of a crash from the target, relative to that of the
       planned start.
-    - ``excess``: -0.1 ln(value / limit), at most -0.3, for each limit of speed, tilt and rate that
+    - ``excess``: -0.2 ln(value / limit), at most -0.6, for each limit of speed, tilt and rate that
       a crash exceeds. A crash outside the stored terrain costs the maximum.
     - ``shaping``: difference of a potential, which falls with the deviation of the velocity from
       one that leads to the target with constant deceleration and, near the target, with the angular
@@ -348,8 +348,8 @@ class ControlEnv(DescentEnv):
     ## Action Space
 
     ``Box(-1, 1, (4,))`` at 50 Hz: thrust from its minimum (-1) to its maximum (1), and torques
-    about the body axes as fractions of their maximum. Thrust 0 is the weight without propellant;
-    between -1, 0 and 1 the thrust is interpolated linearly. The engine cannot be shut down before
+    about the body axes. Action 0 is a thrust equal to the weight without propellant, and no torque;
+    the difference to it grows with the square of the action. The engine cannot be shut down before
     touchdown.
 
     ## Observation Space
