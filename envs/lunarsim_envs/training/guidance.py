@@ -148,6 +148,8 @@ class TrainingRun:
     def advance(self) -> None:
         """Fly `horizon` steps in all parallel environments and update the agent once."""
         start, s = time.perf_counter(), self.settings
+        rate = s.learning_rate_at(self.done)
+        self.model.lr_schedule = lambda _: rate
         self.model.learn(s.lanes * s.horizon, reset_num_timesteps=False)
         self.done += 1
         self.seconds += time.perf_counter() - start

@@ -27,15 +27,18 @@ class PpoSettings:
         Number of parallel flights, and steps of each between two updates.
     batch
         Minibatch size.
+    learning_rate
+        Initial learning rate; it decreases linearly to zero.
     position_sigma, velocity_sigma
         Dispersion of the start, 1 sigma per axis, m and m/s.
     """
 
-    steps: int = 5_000_000
+    steps: int = 10_000_000
     seed: int = 0
-    lanes: int = 64
-    horizon: int = 256
+    lanes: int = 256
+    horizon: int = 128
     batch: int = 2048
+    learning_rate: float = 1e-3
     position_sigma: float = 100.0 / 3.0
     velocity_sigma: float = 10.0
 
@@ -43,6 +46,8 @@ class PpoSettings:
         for name in ("steps", "lanes", "horizon", "batch"):
             if getattr(self, name) < 1:
                 raise InputError(name, getattr(self, name), "must be 1 or more")
+        if not 0.0 < self.learning_rate < 1.0:
+            raise InputError("learning_rate", self.learning_rate, "must be between 0 and 1")
 
     @property
     def changes(self) -> dict[str, Any]:
@@ -56,6 +61,10 @@ class PpoSettings:
     def updates(self) -> int:
         """Total number of updates of the agent in a training."""
         return -(-self.steps // (self.lanes * self.horizon))
+
+    def learning_rate_at(self, done: int) -> float:
+        """Return the learning rate after `done` updates."""
+        return self.learning_rate * (1.0 - done / self.updates)
 
     def save(self, path: Path) -> None:
         """Write the settings to a JSON file."""
