@@ -98,7 +98,7 @@ def flown(mode, steps=150):
             ends[i].append((last.copy(), reward[i], bool(info["safe"][i])))
             assert info["_safe"][i]
             if mode == "SameStep":
-                assert info["final_info"]["reward_terms"]["touchdown"][i] in (10.0, -4.0, -15.0)
+                assert info["final_info"]["reward_terms"]["touchdown"][i] in (10.0, 0.0, -15.0)
                 assert observation[i, 2] > 15.0  # the next flight's first
         if mode == "Disabled" and over.any():
             with pytest.raises(gymnasium.error.ResetNeeded):
@@ -230,7 +230,7 @@ def test_terms_are_what_they_say():
 
 @pytest.mark.parametrize("weights", [
     {"propellant": -1.0}, {"miss": np.nan}, {"no_landing": np.nan}, {"severity": -1.0},
-    {"shaping": -1.0}, {"crash": 5.0}, {"no_landing": -12.0}, {"no_landing": 5.0},
+    {"shaping": -1.0}, {"crash": 5.0}, {"no_landing": -9.0}, {"no_landing": 5.0},
 ])  # fmt: skip
 def test_weights_that_will_not_do_are_refused(weights):
     with pytest.raises(InputError, match="weights"):
@@ -480,7 +480,7 @@ def test_a_crash_is_reported_by_how_bad_it_is():
             folds = sum(min(max(np.log(v), 0.0), 3.0) for v in values)
             seen += 1
             assert info["reward_terms"]["excess"][i] == pytest.approx(-0.5 * folds, abs=1e-6)
-            assert info["reward_terms"]["touchdown"][i] == -4.0
+            assert info["reward_terms"]["touchdown"][i] == 0.0
         if (ended | late).any():
             vector.reset(options={"reset_mask": ended | late})
     assert seen > 10 and lost > 3

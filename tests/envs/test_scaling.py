@@ -178,10 +178,11 @@ def test_ends_of_the_range_are_the_limits():
     actions, half = guided.descents.actions, 0.5 * LARGEST
     assert actions.physical(np.ones(3))[0] == pytest.approx([half, half, LARGEST])
     assert actions.physical(-np.ones(3))[0] == pytest.approx([-half, -half, 0.0])
+    # Between them, commands grow with the square of the action.
     assert actions.physical([0.5, -0.5, 0.5])[0] == pytest.approx(
-        [0.5 * half, -0.5 * half, 0.5 * (GRAVITY + LARGEST)]
+        [0.25 * half, -0.25 * half, 0.75 * GRAVITY + 0.25 * LARGEST]
     )
-    assert actions.physical([0.0, 0.0, -0.5])[0, 2] == pytest.approx(0.5 * GRAVITY)
+    assert actions.physical([0.0, 0.0, -0.5])[0, 2] == pytest.approx(0.75 * GRAVITY)
     direct = ControlEnv(changes=STILL, scaled=False, observation=["thrust", "propellant"])
     actions = direct.descents.actions
     assert actions.physical(np.ones(4))[0] == pytest.approx([6000.0, 600.0, 600.0, 300.0])

@@ -246,7 +246,7 @@ class GuidanceEnv(DescentEnv):
 
     The reward is the sum of the terms in ``info["reward_terms"]``:
 
-    - ``touchdown``: +10 for a touchdown within all limits, -4 for a crash, -15 for a flight
+    - ``touchdown``: +10 for a touchdown within all limits, 0 for a crash, -15 for a flight
       without touchdown.
     - ``propellant``: -0.002 per kilogram.
     - ``miss``: -0.1 per metre between a safe touchdown and the target, up to 50 m.
