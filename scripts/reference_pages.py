@@ -193,7 +193,8 @@ def environment_pages() -> dict[str, str]:
         maker = spec.entry_point
         assert maker is not None
         docstring = inspect.getdoc(load_env_creator(maker) if isinstance(maker, str) else maker)
-        env = gymnasium.make(name)
+        # Components of descents are listed in SI units.
+        env = gymnasium.make(name, **({} if "Retarget" in name else {"scaled": False}))
         title = name.removeprefix("lunarsim/")
         page = title.lower()
         image = f"![Frame of {title}](../../images/environments/{page}.png)"
