@@ -3,7 +3,7 @@
     python scenarios/learning/minimal_ppo.py
     lunarsim evaluate Guidance-v1 --agent minimal_ppo.zip --trust-pickle --agent apollo
 
-It needs the extra `rl` and about ten minutes on two cores.
+It needs the extra `rl` and about six minutes on one core.
 """
 
 import sys
@@ -15,7 +15,7 @@ from stable_baselines3 import PPO
 from lunarsim_envs.training.sb3_vec_env import Sb3VecEnv
 
 if __name__ == "__main__":
-    steps = int(sys.argv[1]) if len(sys.argv) > 1 else 5_000_000
+    steps = int(sys.argv[1]) if len(sys.argv) > 1 else 3_000_000
     torch.set_num_threads(1)
     batch = gymnasium.make_vec(
         "lunarsim_envs:lunarsim/Guidance-v1", num_envs=64,
