@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 OUT ?= out
 
-.PHONY: demo test slow lint bench results docs lock clean
+.PHONY: demo test slow lint bench results docs lock sbom clean
 
 demo: $(STAMP)          ## closed-loop comparison of policies on measured terrain, with pictures
 	rm -rf $(OUT)/demo
@@ -50,6 +50,10 @@ lock:                   ## the tested versions of dependencies (without PyTorch)
 		$(foreach extra,ray report sensitivity data onnx bench docs dev,--extra $(extra)) \
 		--custom-compile-command "make lock" pyproject.toml -o requirements.lock
 	$(BIN)/python scripts/licences_page.py > docs/about/licences.md
+
+sbom: $(STAMP)          ## the software bill of materials (CycloneDX), in out/sbom.json
+	mkdir -p $(OUT)
+	$(BIN)/python scripts/sbom.py > $(OUT)/sbom.json
 
 $(STAMP): pyproject.toml requirements.lock scripts/setup.sh
 	sh scripts/setup.sh $(VENV)
