@@ -24,7 +24,6 @@ from lunarsim.cli_common import (
     wide_console,
 )
 from lunarsim.errors import InputError, check_folder
-from lunarsim.rng import SPLITS
 
 
 @click.command()
@@ -65,8 +64,9 @@ from lunarsim.rng import SPLITS
     "time-to-go). Repeat the option for each component.",
 )  # fmt: skip
 @click.option(
-    "--split", type=click.Choice(SPLITS), default=None, show_default="test",
-    help="Split of the worlds. No world of one split is a world of another.",
+    "--split", default=None, metavar="NAME", show_default="test",
+    help="Split of the worlds: train, validation or test. No world of one split is a world of "
+    "another.",
 )  # fmt: skip
 @click.option(
     "--worlds", type=IntRange(min=1), default=None, show_default="16 in Retarget-v1, otherwise 1",

@@ -270,9 +270,10 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         if render_mode is not None and render_mode not in modes:
             named = ", ".join(map(repr, modes))
             raise ValueError(f"render_mode: must be {named} or None, got {render_mode!r}.")
-        views = checked_bool("views", views)
-        worlds = checked_int("worlds", worlds, 1)
-        world_seed = checked_int("world_seed", world_seed, 0)
+        views, split = checked_bool("views", views), checked_split(split)
+        worlds, world_seed = (
+            checked_int("worlds", worlds, 1), checked_int("world_seed", world_seed, 0),
+        )  # fmt: skip
         if views and (render_mode is None or perception not in FULL_SIMULATION):
             problem = f"needs a render_mode and a perception of {', '.join(FULL_SIMULATION)}"
             raise InputError("views", views, problem, show_value=False)
@@ -287,7 +288,6 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         self.render_mode = render_mode
         self.perception = perception
         self.actions = SiteActions(action)
-        split = checked_split(split)
         self.flight = create_flight(
             perception, self.scenario, worlds, world_seed, surrogate, covers, split
         )

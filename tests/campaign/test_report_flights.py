@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from lunarsim.campaign.analysis import differences
 from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.report.flight_data import recorded_paths, touchdown_axes
-from lunarsim.campaign.report.page import _template_variables
+from lunarsim.campaign.report.page import template_variables
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run as fly
 from lunarsim.cli import main
@@ -56,7 +56,7 @@ def results(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def variables(results):
-    return _template_variables(results)
+    return template_variables(results)
 
 
 def test_propellant_is_compared_flight_by_flight(results, variables):
@@ -101,7 +101,7 @@ def test_no_limit_is_drawn_that_is_not_that_of_all_flights(tmp_path):
     axes, remark = touchdown_axes(results)
     assert all(axis.limit is None for pair in axes for axis in pair)
     assert "differ between flights" in remark
-    plot = _template_variables(results)["plots"]["touchdown-tilt"]
+    plot = template_variables(results)["plots"]["touchdown-tilt"]
     assert plot["layout"]["shapes"] == [] and remark in plot["caption"]
 
 
@@ -130,7 +130,7 @@ def test_no_sensitivity_is_drawn_without_indices(results, variables):
 
 def test_a_campaign_without_records_dispersions_and_touchdowns_has_no_such_plot(tmp_path):
     fly(plan(flights=4), InlineEngine(), tmp_path / "c")
-    made = _template_variables(load_results(tmp_path / "c"))
+    made = template_variables(load_results(tmp_path / "c"))
     assert not {"trajectories", "touchdown-speed", "touchdown-tilt", "sensitivity",
                 "propellant-differences"} & set(made["plots"])  # fmt: skip
     assert "differences" in made["plots"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import subprocess
 import sys
 from dataclasses import fields, is_dataclass
@@ -16,6 +15,7 @@ from lunarsim.scenario import Scenario
 from lunarsim.simulation import Flight, Simulation
 from lunarsim.simulation.recorder import MessageRecorder
 from tests.conftest import ROOT, SCENARIOS
+from tests.flight_comparison import assert_the_same, replayed
 
 FLASH = {
     "name": "flash",
@@ -108,29 +108,6 @@ def instruments() -> Scenario:
 
 # Kinds of measurements that each gives.
 _KINDS = {"flash": 3, "camera": 3, "both": 4, "instruments": 5}
-
-
-def replayed(tap: MessageRecorder, policy: object, folder: Path) -> list:
-    """Return commands and torques of a flight's measurements in a process without a world."""
-    measurements = [inputs for inputs, _, _ in tap.exchanges]
-    source, target = folder / "in", folder / "out"
-    source.write_bytes(pickle.dumps((tap.briefing, policy, measurements)))
-    subprocess.run(
-        [sys.executable, str(ROOT / "tests" / "simulation" / "replay.py"), source, target],
-        check=True, cwd=ROOT,
-    )  # fmt: skip
-    return pickle.loads(target.read_bytes())
-
-
-def assert_the_same(exchanges, again) -> None:
-    assert len(again) == len(exchanges) - 1 > 100
-    for (_, command, torques), (other, torques_again) in zip(exchanges, again, strict=False):
-        assert other.thrust == command.thrust
-        assert other.attitude.tobytes() == command.attitude.tobytes()
-        assert [t.sensor for t in other.tasks] == [t.sensor for t in command.tasks]
-        for a, b in zip(other.tasks, command.tasks, strict=True):
-            assert a.mount.tobytes() == b.mount.tobytes()
-        assert torques_again.tobytes() == torques.tobytes()
 
 
 def test_a_policy_gets_interest_and_scoreboard_where_there_is_no_world(tmp_path):

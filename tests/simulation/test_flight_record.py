@@ -19,23 +19,7 @@ from lunarsim.simulation import Flight, Simulation
 from lunarsim.simulation.worlds import rebuild_world
 from lunarsim.viz import draw_flight
 from lunarsim.world.truth import TerrainTruth
-
-
-def assert_same(a, b, path="flight"):
-    """Compare nested records to the last bit."""
-    if isinstance(a, dict):
-        assert list(a) == list(b), path
-        for key in a:
-            assert_same(a[key], b[key], f"{path}.{key}")
-    elif isinstance(a, list | tuple):
-        assert len(a) == len(b), path
-        for i, (x, y) in enumerate(zip(a, b, strict=True)):
-            assert_same(x, y, f"{path}[{i}]")
-    elif isinstance(a, np.ndarray):
-        assert a.dtype == b.dtype, path
-        assert a.tobytes() == b.tobytes(), path
-    else:
-        assert a == b or (a != a and b != b), path
+from tests.flight_comparison import assert_same
 
 
 @pytest.fixture(scope="module")

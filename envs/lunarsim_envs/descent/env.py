@@ -218,10 +218,10 @@ class GuidanceEnv(DescentEnv):
 
     ``Box(-1, 1, (3,))`` at 5 Hz: commanded thrust acceleration, ENU. East and north range from
     -A / 2 to A / 2, up from 0 to A, with A = thrust_max / dry_mass (5.45 m/s^2). Action 0 is a
-    vertical thrust equal to the weight; the difference to it grows with the square of the action, so
-    that small commands are well resolved. Commands beyond the thrust range or the maximum tilt of the scenario's approach are
-    limited as for a guidance law. ``env.unwrapped.descents.actions.action(acceleration)`` converts
-    m/s^2 to an action.
+    vertical thrust equal to the weight. The difference to it grows with the square of the action,
+    so that small commands are well resolved. Commands beyond the thrust range or the maximum tilt
+    of the scenario's approach are limited as for a guidance law.
+    ``env.unwrapped.descents.actions.action(acceleration)`` converts m/s^2 to an action.
 
     ## Observation Space
 

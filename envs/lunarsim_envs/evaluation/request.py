@@ -10,6 +10,7 @@ import gymnasium
 
 from lunarsim.errors import InputError, suggestion
 from lunarsim.parts.registry import import_part_module
+from lunarsim.rng import SPLITS
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.changes import with_changes
 from lunarsim.scenario.shipped import found
@@ -109,6 +110,9 @@ def evaluation_study(
                 f"--{argument.replace('_', '-')}", arguments[argument], f"does not apply to {name}",
                 "Omit this option.",
             )  # fmt: skip
+    split = arguments.get("split", "test")
+    if split not in SPLITS:
+        raise InputError("--split", split, "is unknown", suggestion(split, SPLITS))
     if own is not None:
         arguments = {"split": "test", "worlds": _WORLDS.get(own, 1)} | arguments
     flown: Scenario | None = None

@@ -87,7 +87,7 @@ def write_report(folder: str | Path, out: Path) -> Results:
         raise InputError("folder", str(folder), "must hold a campaign with the boolean column safe")
     template = _markdown_template(jinja2) if tables_alone else _html_template(jinja2)
     page = template.render(
-        **_template_variables(results),
+        **template_variables(results),
         plotly=_in_script(get_plotlyjs()),
         version=lunarsim.__version__,
     )
@@ -130,7 +130,7 @@ def _in_script(text: str) -> Any:
     return Markup(text.replace("</script", "<\\/script"))
 
 
-def _template_variables(results: Results) -> dict[str, Any]:
+def template_variables(results: Results) -> dict[str, Any]:
     """Return the values that the report template shows, by template variable."""
     if results.has_unequal_weights:
         return _rare_template_variables(results)
