@@ -271,9 +271,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
             named = ", ".join(map(repr, modes))
             raise ValueError(f"render_mode: must be {named} or None, got {render_mode!r}.")
         views, split = checked_bool("views", views), checked_split(split)
-        worlds, world_seed = (
-            checked_int("worlds", worlds, 1), checked_int("world_seed", world_seed, 0),
-        )  # fmt: skip
+        worlds = checked_int("worlds", worlds, 1)
+        world_seed = checked_int("world_seed", world_seed, 0)
         if views and (render_mode is None or perception not in FULL_SIMULATION):
             problem = f"needs a render_mode and a perception of {', '.join(FULL_SIMULATION)}"
             raise InputError("views", views, problem, show_value=False)
@@ -283,14 +282,13 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         if perception in FULL_SIMULATION:
             self.scenario = with_perception(self.scenario, perception)
         self.weights = checked_weights(weights, RewardWeights) or RewardWeights.of(self.scenario)
-        lander = self.scenario.vehicle.make()
-        self.rewards = SiteRewards(self.weights, lander.propellant_mass, 1)
+        tank = self.scenario.vehicle.make().propellant_mass
+        self.rewards = SiteRewards(self.weights, tank, 1)
         self.render_mode = render_mode
         self.perception = perception
         self.actions = SiteActions(action)
-        self.flight = create_flight(
-            perception, self.scenario, worlds, world_seed, surrogate, covers, split
-        )
+        pool = worlds, world_seed, surrogate, covers, split
+        self.flight = create_flight(perception, self.scenario, *pool)
         self.shown = SiteObservationLayout(observation)
         self.action_space = self.actions.space
         self.observation_space = self.shown.space

@@ -195,6 +195,7 @@ def main(
             raise InputError("--out", str(out), "must be a new folder")
         check(agent, trust_pickle=trust_pickle)
         given = {name: value for name, value in arguments.items() if value}
+        given["split"] = "train"  # data to learn from
         flown = replace(
             evaluation_study(env, scenario, changes, seed, **given), trust_pickle=trust_pickle
         )

@@ -194,9 +194,9 @@ def test_a_scenario_is_required_if_an_environment_has_none():
 
 def test_agents_are_flown_on_the_perception_that_is_asked_for():
     given = evaluation_study("lunarsim_envs:Retarget-v1", None, [], 1, perception="truth")
-    assert given.arguments == {"perception": "truth"}
+    assert given.arguments == {"split": "test", "worlds": 16, "perception": "truth"}
     alone = evaluation_study("lunarsim_envs:Retarget-v1", None, [], 1)
-    assert alone.arguments == {} and alone.make().unwrapped.perception == "onboard"
+    assert alone.arguments == {"split": "test", "worlds": 16}
     small = replace(given, scenario=SMALL, arguments=given.arguments | {"worlds": 1})
     assert small.make().unwrapped.perception == "truth"
 

@@ -202,7 +202,10 @@ def test_weights_stand_in_the_scenario():
     again = Scenario.from_dict(own.to_dict())
     assert again == own and again.site_reward.speed == 0.25
     made = gymnasium.make(
-        "lunarsim_envs:lunarsim/Retarget-v1", scenario=own, changes={"site_reward.tilt": 0.4}
+        "lunarsim_envs:lunarsim/Retarget-v1",
+        scenario=own,
+        changes={"site_reward.tilt": 0.4},
+        perception="onboard",
     )
     wanted = RewardWeights(propellant=0.5, speed=0.25, tilt=0.4, information=0.1, shaping=0.3)
     assert made.unwrapped.weights == wanted

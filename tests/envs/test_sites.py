@@ -242,7 +242,7 @@ if __name__ == "__main__":
     sums(100)
     env = gymnasium.make_vec(
         "lunarsim/Retarget-v1", num_envs=2, vectorization_mode="async", scenario=SMALL,
-        vector_kwargs={"context": sys.argv[1]},
+        perception="onboard", vector_kwargs={"context": sys.argv[1]},
     )
     env.reset(seed=1)
     env.step([0, 0])

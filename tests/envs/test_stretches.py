@@ -361,7 +361,11 @@ def test_agents_are_evaluated_on_the_parts_that_are_asked_for():
 
 def test_frames_say_by_which_time_scale():
     env = gymnasium.make(
-        "lunarsim_envs:lunarsim/Retarget-v1", scenario=SMALL, action=BOTH, render_mode="rgb_array"
+        "lunarsim_envs:lunarsim/Retarget-v1",
+        scenario=SMALL,
+        action=BOTH,
+        perception="onboard",
+        render_mode="rgb_array",
     ).unwrapped
     env.reset(seed=3)
     env.step([0, 3])

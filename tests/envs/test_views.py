@@ -72,4 +72,4 @@ def test_closing_lets_go_of_the_flight_and_resetting_takes_up_again(env):
 @pytest.mark.parametrize("more", [{}, {"render_mode": "rgb_array", "perception": "truth"}])
 def test_views_of_nothing_are_refused(more):
     with pytest.raises(InputError, match="views"):
-        gymnasium.make(ID, perception="onboard", views=True, **more)
+        gymnasium.make(ID, **({"perception": "onboard", "views": True} | more))

@@ -36,7 +36,7 @@ def same(first, second):
         ("Guidance-v1", "apollo", (), {}),
         (
             "Retarget-v1", "random", ("--perception", "truth", "--scenario", "small.toml"),
-            {"perception": "truth", "scenario": "small.toml"},
+            {"perception": "truth", "scenario": "small.toml", "worlds": 16},
         ),
         (
             "Guidance-v1", "random", ("--observation", "position", "--observation", "time_left"),
@@ -46,7 +46,8 @@ def same(first, second):
             "Retarget-v1", "random",
             ("--perception", "truth", "--scenario", "small.toml", "--action", "time_scale",
              "--action", "site"),
-            {"perception": "truth", "scenario": "small.toml", "action": ("time_scale", "site")},
+            {"perception": "truth", "scenario": "small.toml", "action": ("time_scale", "site"),
+             "worlds": 16},
         ),
     ],
 )  # fmt: skip
