@@ -10,7 +10,7 @@ gymnasium.register(
     id="lunarsim/Retarget-v1",
     entry_point="lunarsim_envs.retarget:RetargetEnv",
     vector_entry_point="lunarsim_envs.retarget_vector:RetargetVectorEnv",
-    reward_threshold=0.8,
+    reward_threshold=0.5,
 )
 for _level in ("Guidance", "Control"):
     gymnasium.register(
