@@ -149,7 +149,7 @@ class _FaultyTriad:
             if isinstance(fault, FrozenFault):
                 held = self._held[k]
                 self._is_frozen[k] = held is not None and fault.is_active(times[0])
-                if self._is_frozen[k]:
+                if held is not None and self._is_frozen[k]:
                     self.matrix, out = np.zeros((3, 3)), np.tile(held, (n, 1))
                 continue
             for i in np.flatnonzero([fault.is_active(time) for time in times]):

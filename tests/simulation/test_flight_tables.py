@@ -201,7 +201,7 @@ def test_a_table_that_does_not_fit_its_trajectory_is_refused(flown, tmp_path, da
     else:
         rows["time"][5] = np.nan
     folder = replace(flight, navigation=rows).save(tmp_path / "other")
-    with pytest.raises(InputError, match="navigation.parquet") as caught:
+    with pytest.raises(InputError, match="navigation") as caught:
         Flight.load(folder)
     assert ("rows" if damage == "rows" else "times are not finite") in str(caught.value)
 
