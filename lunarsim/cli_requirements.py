@@ -60,9 +60,9 @@ def _print(rows: list[dict[str, Any]]) -> None:
         numbers = ("-" if row[k] is None else f"{row[k]:.4g}"
                    for k in ("percentile", "bound", "margin"))  # fmt: skip
         table.add_row(
-            row["requirement"], row["arm"], f"{row['metric']} {limit}", f"{row['percentage']:g}",
-            f"{row['confidence']:g}", f"{row['violations']} of {row['flights']}",
+            row["requirement"], row["arm"], f"{row['metric']} {limit}", f"{row['percentage']:.12g}",
+            f"{row['confidence']:.12g}", f"{row['violations']} of {row['flights']}",
             f"{100.0 * row['fraction_bound']:.2f}", *numbers, row["status"],
-            str(row["missing_flights"]),
+            "> 10000000" if row["missing_flights"] is None else str(row["missing_flights"]),
         )  # fmt: skip
     wide_console(170).print(table)

@@ -26,7 +26,7 @@ from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.scenario.files import read_toml
 from lunarsim.typing import Array, BoolArray
 
-# Maximum number of flights for which the required number is searched.
+# Maximum number of flights that is searched for the required number.
 _MAX_FLIGHTS = 10_000_000
 
 
@@ -90,7 +90,8 @@ class Verification:
         "pass": the requirement holds at this confidence; "fail": its violation is shown at this
         confidence; "open": neither.
     missing_flights
-        Additional flights without a violation until the requirement passes; 0 if it passes.
+        Additional flights without a violation until the requirement passes; 0 if it passes, None if
+        more than ten million flights are needed.
     """
 
     requirement: Requirement
@@ -102,7 +103,7 @@ class Verification:
     margin: float
     fraction_bound: float
     status: str
-    missing_flights: int
+    missing_flights: int | None
 
 
 def load_requirements(path: Path) -> list[Requirement]:
@@ -187,7 +188,9 @@ def verify_values(requirement: Requirement, arm: str, values: Array) -> Verifica
         # Flights without a value lie beyond every limit.
         ordered = np.sort(np.where(np.isnan(values), np.inf, sign * values))
         if n > 0:
-            percentile = sign * float(ordered[max(int(np.ceil(fraction * n)) - 1, 0)])
+            # The rounding error of a product such as 0.07 * 100 must not raise the rank.
+            below = int(np.ceil(r.percentage * n / 100.0 - 1e-9)) - 1
+            percentile = sign * float(ordered[max(below, 0)])
         rank = tolerance_rank(n, fraction, level)
         if rank is not None:
             bound = sign * float(ordered[rank - 1])
@@ -195,7 +198,8 @@ def verify_values(requirement: Requirement, arm: str, values: Array) -> Verifica
     passes = _lower_bound(n, violations, level)
     fails = 1.0 if violations == 0 else float(beta.ppf(level, n - violations + 1, violations))
     status = "pass" if passes >= fraction else "fail" if fails < fraction else "open"
-    missing = 0 if status == "pass" else needed_flights(violations, fraction, level) - n
+    needed = n if status == "pass" else needed_flights(violations, fraction, level)
+    missing = None if needed is None else needed - n
     return Verification(r, arm, n, violations, percentile, bound, margin, passes, status, missing)
 
 
@@ -217,14 +221,16 @@ def tolerance_rank(flights: int, fraction: float, level: float) -> int | None:
     return rank if rank <= flights else None
 
 
-def needed_flights(violations: int, fraction: float, level: float) -> int:
-    """Return the number of flights with which a requirement passes.
+def needed_flights(violations: int, fraction: float, level: float) -> int | None:
+    """Return the number of flights with which a requirement passes, or None.
 
     It is the smallest n whose lower confidence bound with this number of violations reaches
-    `fraction`, at most ten million.
+    `fraction`. None: more than ten million.
     """
+    if _lower_bound(_MAX_FLIGHTS, violations, level) < fraction:
+        return None
     low, high = violations, violations + 1
-    while high < _MAX_FLIGHTS and _lower_bound(high, violations, level) < fraction:
+    while _lower_bound(high, violations, level) < fraction:
         low, high = high, 2 * high
     while high - low > 1:
         middle = (low + high) // 2

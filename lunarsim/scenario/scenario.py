@@ -6,6 +6,7 @@ types and values out of bounds raise an `InputError` with field, value and probl
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
@@ -263,7 +264,7 @@ class Scenario:
         ):
             del data["navigation"]
         for key, change in changes.items():
-            data[key] = _merged(data.get(key), change)
+            data[key] = _merged(key, data.get(key), change)
             if data[key] is None and hasattr(self, key):
                 del data[key]
         return self.from_dict(data)
@@ -358,20 +359,21 @@ def _dump(value: Any) -> Any:
     return value
 
 
-def _merged(old: Any, change: Any) -> Any:
-    """Return a scenario value or table `old` with `change` merged into it.
+def _merged(path: str, old: Any, change: Any) -> Any:
+    """Return the scenario value or table `old` of a path with `change` merged into it.
 
     Tables are merged key by key, and None removes a key. A change that is not a table, or that has
     another `kind`, replaces `old` completely.
     """
     if not (isinstance(old, dict) and isinstance(change, Mapping)):
         return change
-    change = with_unit_values(change)
+    if re.fullmatch(r"sensors\.[^.]+", path):
+        change = with_unit_values(path, change, old.get("kind", ""))
     if "kind" in change and change["kind"] != old.get("kind", change["kind"]):
         return dict(change)
     new = dict(old)
     for key, value in change.items():
-        new[key] = _merged(old.get(key), value)
+        new[key] = _merged(f"{path}.{key}", old.get(key), value)
         if new[key] is None:
             del new[key]
     return new

@@ -79,14 +79,20 @@ def complete_table(path: str, table: Mapping[str, Any]) -> dict[str, Any]:
     return _merged(unit.table(), table)
 
 
-def with_unit_values(change: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return a change of a scenario table, with all values of its `unit`.
+def with_unit_values(path: str, change: Mapping[str, Any], kind: str) -> Mapping[str, Any]:
+    """Return a change of a sensor table, with all values of its `unit`.
 
-    A change without `unit`, or with an unknown one, is returned unchanged.
+    `path` is the name of the table and `kind` its kind before the change. A change without `unit`,
+    or with an unknown one, is returned unchanged.
+
+    Raises
+    ------
+    InputError
+        If the unit is of another kind than the table.
     """
     name = change.get("unit")
     known = isinstance(name, str) and name in sensor_units()
-    return complete_table("sensors", change) if known else change
+    return complete_table(path, {"kind": kind} | dict(change)) if known else change
 
 
 def catalogue_lines() -> Iterator[str]:

@@ -88,8 +88,8 @@ class SensorFault:
     def apply(self, measurement: Any, held: Any, time: float, rng: np.random.Generator) -> Any:
         """Return the faulty measurement.
 
-        `held` is the last measurement before the fault or None, `time` is in s, and `rng` the
-        source of the fault's random numbers.
+        `held` is the last measurement before the fault, with the faults before it in the file, or
+        None; `time` is in s, and `rng` the source of the fault's random numbers.
         """
         return measurement
 
@@ -163,7 +163,12 @@ class AdditiveFault(SensorFault):
 class BiasFault(AdditiveFault):
     """Constant error of a measured quantity."""
 
-    size: float = quantity(0.0, help="error in SI units and radians: m, m/s, rad, rad/s or m/s^2")
+    size: float = quantity(
+        0.0,
+        ge=-1e4,
+        le=1e4,
+        help="error in SI units and radians: m, m/s, rad, rad/s or m/s^2",
+    )
 
     def size_at(self, time: float) -> float:
         """Return the constant error, in SI units."""
@@ -175,7 +180,10 @@ class DriftFault(AdditiveFault):
     """Error of a measured quantity that grows from zero in proportion to time."""
 
     rate: float = quantity(
-        0.0, help="growth of the error in one second, SI units and radians: m/s for a range"
+        0.0,
+        ge=-1e3,
+        le=1e3,
+        help="growth of the error in one second, SI units and radians: m/s for a range",
     )
 
     def size_at(self, time: float) -> float:
@@ -190,6 +198,7 @@ class NoiseFault(AdditiveFault):
     sigma: float = quantity(
         0.0,
         ge=0,
+        le=1e4,
         help="noise of each element of a measurement, 1 sigma, SI units and radians",
     )
 

@@ -36,7 +36,8 @@ class FaultySensor:
         self.sensor = sensor
         self.is_silent = False
         self._faults = faults
-        self._held: Any = None
+        # For each fault: its input at the last measurement before it acted.
+        self._held: list[Any] = [None] * len(faults)
         delays = [fault.delay for fault, _ in faults if isinstance(fault, LatencyFault)]
         self._memory = sum(delays)
         self._states: deque[tuple[float, State]] = deque()
@@ -68,10 +69,12 @@ class FaultySensor:
         self.is_silent = any(fault.is_silent for fault, _ in active)
         if self.is_silent or found is None:
             return None
-        if self._held is None or not any(isinstance(fault, FrozenFault) for fault, _ in active):
-            self._held = found
-        for fault, drawn in active:
-            found = fault.apply(found, self._held, time, drawn)
+        for k, (fault, drawn) in enumerate(self._faults):
+            is_active = fault.is_active(time)
+            if is_active:
+                found = fault.apply(found, self._held[k], time, drawn)
+            if self._held[k] is None or not is_active:
+                self._held[k] = found
         return found
 
     def _state_at(self, time: float) -> State:
@@ -102,8 +105,8 @@ class FaultyImu(Imu):
     ) -> InertialSamples:
         """Measure increments along a true trajectory; parameters as in `Imu`."""
         samples = super().sample_trajectory(rows, step, gravity, time, angle)
-        self.gyroscopes.last = samples.angle[-1].copy()
-        self.accelerometers.last = samples.velocity[-1].copy()
+        self.gyroscopes.hold(samples.angle[-1])
+        self.accelerometers.hold(samples.velocity[-1])
         return samples
 
 
@@ -111,22 +114,26 @@ class _FaultyTriad:
     """Three gyroscopes or accelerometers with faults.
 
     `channel` is their quantity in faults: "rate" or "acceleration". The attribute `matrix` is that
-    of the samples that `offsets` has sampled last, and `last` is the last increment (3,).
+    of the samples that `offsets` has sampled last.
     """
 
     def __init__(self, triad: Any, channel: str, faults: ActiveFaults) -> None:
         self.triad = triad
         self.errors, self.step, self.remainder = triad.errors, triad.step, triad.remainder
         self.matrix = triad.matrix
-        self.last: Array | None = None
         self._channel = channel
         self._samples = 0
-        self._added = [
+        self._faults = [
             (fault, drawn)
             for fault, drawn in faults
-            if isinstance(fault, AdditiveFault) and (fault.channel or "rate") == channel
+            if isinstance(fault, FrozenFault)
+            or (isinstance(fault, AdditiveFault) and (fault.channel or "rate") == channel)
         ]
-        self._frozen = [fault for fault, _ in faults if isinstance(fault, FrozenFault)]
+        # For each fault: the increment (3,) that it repeats if it is a freeze, whether it repeats
+        # one, and the errors (3,) that later faults added to the last sample.
+        self._held: list[Array | None] = [None] * len(self._faults)
+        self._is_frozen = [False] * len(self._faults)
+        self._later = np.zeros((len(self._faults), 3))
 
     def offsets(self, n: int) -> Array:
         """Sample the additive errors (n, 3) of the next n increments, with faults.
@@ -137,13 +144,26 @@ class _FaultyTriad:
         times = self.step * (self._samples + 1 + np.arange(n))
         self._samples += n
         self.matrix = self.triad.matrix
-        if self.last is not None and any(fault.is_active(times[0]) for fault in self._frozen):
-            self.matrix = np.zeros((3, 3))
-            out = np.tile(self.last, (n, 1))
-        for fault, drawn in self._added:
+        self._later[:] = 0.0
+        for k, (fault, drawn) in enumerate(self._faults):
+            if isinstance(fault, FrozenFault):
+                held = self._held[k]
+                self._is_frozen[k] = held is not None and fault.is_active(times[0])
+                if held is not None and self._is_frozen[k]:
+                    self.matrix, out = np.zeros((3, 3)), np.tile(held, (n, 1))
+                continue
             for i in np.flatnonzero([fault.is_active(time) for time in times]):
-                out[i] += self.step * fault.offset(self._channel, times[i], (3,), drawn)
+                added = self.step * fault.offset(self._channel, times[i], (3,), drawn)
+                out[i] += added
+                if i == n - 1:
+                    self._later[:k] += added
         return out
+
+    def hold(self, increment: Array) -> None:
+        """Store the last measured increment (3,) of a cycle for faults that begin later."""
+        for k, is_frozen in enumerate(self._is_frozen):
+            if not is_frozen:
+                self._held[k] = increment - self._later[k]
 
     def increments(self, truth: Array) -> Array:
         """Return measured increments (n, 3) for true increments (n, 3), rad or m/s."""

@@ -41,6 +41,7 @@ from lunarsim.simulation.columns import (
     CANDIDATES,
     COLUMN_TABLES,
     LOCAL_FRAME,
+    NAVIGATION,
     SCANS,
     SCHEMA_VERSION,
     TRAJECTORY,
@@ -329,6 +330,8 @@ class Flight:
         folder = Path(folder)
         record = read_record(folder)
         first = record["first_map"]
+        trajectory = read_trajectory(folder, list(TRAJECTORY.columns()))
+        rows = {NAVIGATION: len(trajectory["time"])}
         with reading(folder / "flight.json"):
             return cls(
                 scenario=record["scenario"],
@@ -336,9 +339,9 @@ class Flight:
                 policy=record["policy"],
                 outcome=_landing_outcome(record["outcome"]),
                 target=np.array(record["target"]),
-                trajectory=read_trajectory(folder, list(TRAJECTORY.columns())),
+                trajectory=trajectory,
                 **{
-                    table.name: read_table(folder, table)
+                    table.name: read_table(folder, table, rows.get(table))
                     for table in COLUMN_TABLES
                     if table is not TRAJECTORY and table.name in record.get("tables", [])
                 },

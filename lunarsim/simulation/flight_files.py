@@ -270,11 +270,20 @@ def read_trajectory(folder: Path, names: Sequence[str]) -> dict[str, Array]:
     return {name: column.astype(np.float64, copy=False) for name, column in found.items()}
 
 
-def read_table(folder: Path, table: Table) -> dict[str, Array]:
-    """Read the columns (n,) of a declared table of a recorded flight, by name."""
+def read_table(folder: Path, table: Table, rows: int | None = None) -> dict[str, Array]:
+    """Read the columns (n,) of a declared table of a recorded flight, by name.
+
+    `rows` is the number of rows that the table must have; None: any. Times must be finite.
+    """
     path = folder / f"{table.name}.parquet"
-    found = read_columns(folder, path)
-    return read_columns(folder, path, list(table.columns(len(found))))
+    width = len(read_columns(folder, path))
+    found = read_columns(folder, path, list(table.columns(width)))
+    with reading(path):
+        if rows is not None and len(found["time"]) != rows:
+            raise _DefectError(f"the table has {len(found['time'])} rows, but needs {rows}")
+        if not np.isfinite(found["time"]).all():
+            raise _DefectError("times are not finite")
+    return {name: column.astype(table.dtype, copy=False) for name, column in found.items()}
 
 
 def read_rows(folder: Path, name: str, columns: Sequence[str]) -> NDArray[np.float32]:

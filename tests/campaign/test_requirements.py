@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from math import comb
 
 import numpy as np
@@ -15,8 +16,10 @@ from lunarsim.campaign.requirements import (
     load_requirements,
     needed_flights,
     tolerance_rank,
+    verify,
     verify_values,
 )
+from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
 from lunarsim.cli import main
 from lunarsim.errors import InputError
@@ -96,6 +99,24 @@ def test_flights_without_a_value_violate_every_limit():
     assert verify_values(one, "arm", np.array([])).status == "open"
 
 
+@pytest.mark.parametrize(
+    ("percentage", "flights"), [(7.0, 100), (28.0, 100), (55.0, 100), (95.0, 20), (99.9, 1000)]
+)
+def test_the_percentile_is_the_value_that_the_percentage_of_flights_reaches(percentage, flights):
+    one = Requirement("A", "x", at_most=1e9, percentage=percentage)
+    values = np.random.default_rng(2).permutation(np.arange(1.0, flights + 1.0))
+    found = verify_values(one, "arm", values)
+    assert found.percentile == pytest.approx(percentage * flights / 100.0)
+
+
+def test_a_number_of_flights_beyond_the_search_is_not_stated():
+    fraction = 1.0 - 1e-9  # 2.3e9 flights without a violation
+    assert needed_flights(0, fraction, 0.9) is None
+    one = Requirement("A", "x", at_most=1.0, percentage=100.0 * fraction)
+    assert verify_values(one, "arm", np.zeros(40)).missing_flights is None
+    assert needed_flights(0, 1.0 - 1e-6, 0.9) == 2_302_584
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Return the results folder of a campaign of 40 flights of two arms, some of which crash."""
@@ -122,6 +143,17 @@ def test_the_command_prints_writes_and_judges(folder, tmp_path):
     failed = runner.invoke(main, ["campaign", "verify", str(folder), str(tmp_path / "hard.toml")])
     assert failed.exit_code == 1
     assert "pass" not in failed.output
+
+
+def test_only_independent_flights_of_equal_weight_count(folder):
+    results, stated = load_results(folder), [Requirement("A", "safe", percentage=1.0)]
+    # In blocks of three flights, the second repeats the worlds of the others.
+    saltelli = results.manifest | {"identity": {"method": "saltelli", "dispersions": {}}}
+    for one in verify(replace(results, manifest=saltelli), stated):
+        assert one.flights == sum(n % 3 != 1 for n in range(40))
+    subset = results.manifest | {"identity": {"method": "subset"}}
+    with pytest.raises(InputError, match="equal weights"):
+        verify(replace(results, manifest=subset), stated)
 
 
 @pytest.mark.parametrize(

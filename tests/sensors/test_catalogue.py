@@ -69,6 +69,46 @@ def test_another_unit_keeps_keys_that_it_does_not_have():
     assert second.changed(sensors={"stars": {"roll_noise_deg": 0.02}}).sensors["stars"].unit
 
 
+_DEG, _HOUR, _G = math.pi / 180.0, 3600.0, 9.80665
+
+
+@pytest.mark.parametrize(
+    ("unit", "triad", "bias", "random_walk"),
+    [
+        ("HG1700", "gyroscopes", 1.0 * _DEG / _HOUR, 0.125 * _DEG / 60.0),
+        ("HG1700", "accelerometers", 1e-3 * _G, 0.065 * 0.3048 / 60.0),
+        ("HG9900", "gyroscopes", 0.0035 * _DEG / _HOUR, 0.002 * _DEG / 60.0),
+        ("HG9900", "accelerometers", 25e-6 * _G, 10e-6 * _G),
+    ],
+)
+def test_inertial_units_have_the_values_of_their_datasheets(unit, triad, bias, random_walk):
+    errors = getattr(scenario(imu={"unit": unit}).sensors["imu"].make(), triad)
+    assert errors.bias == pytest.approx(bias, rel=1e-12)
+    assert errors.random_walk == pytest.approx(random_walk, rel=1e-3)  # 0.065 ft/s is rounded
+
+
+def test_angles_of_datasheets_are_converted():
+    texts = {"misalignment": "5 arcsec", "quantum": "0.5 arcsec"}
+    made = scenario(imu={"kind": "imu", "gyroscopes": texts}).sensors["imu"].make()
+    assert made.gyroscopes.misalignment == pytest.approx(5.0 * _DEG / 3600.0)
+    assert made.gyroscopes.quantum == pytest.approx(0.5 * _DEG / 3600.0)
+    texts = {"misalignment": "0.2 mrad"}
+    made = scenario(imu={"kind": "imu", "accelerometers": texts}).sensors["imu"].make()
+    assert made.accelerometers.misalignment == pytest.approx(2e-4)
+
+
+def test_a_change_to_a_unit_of_another_kind_names_the_table():
+    """It must not replace an altimeter by a velocimeter."""
+    for change in ({"unit": "NDL"}, {"unit": "NDL", "kind": "radar-altimeter"}):
+        with pytest.raises(lunarsim.InputError) as caught:
+            scenario().changed(sensors={"altimeter": change})
+        assert "sensors.altimeter.unit: must be a unit of kind 'radar-altimeter'" in str(
+            caught.value
+        )
+    changed = scenario().changed(sensors={"altimeter": {"unit": "NDL", "kind": "velocimeter"}})
+    assert changed.sensors["altimeter"].kind == "velocimeter"
+
+
 @pytest.mark.parametrize(
     ("table", "message"),
     [

@@ -14,6 +14,7 @@ import pytest
 import lunarsim
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.scenario.changes import with_values
+from lunarsim.simulation.checkpoint import Checkpoint
 from lunarsim.simulation.recorder import MessageRecorder
 from tests.chance import ratio_bounds
 
@@ -135,6 +136,87 @@ def test_a_frozen_sensor_repeats_its_last_measurement():
     for field in ("angle", "velocity"):
         repeated = np.tile(getattr(last, field)[-1], (10, 1))
         np.testing.assert_allclose(getattr(found["imu", 1.2], field), repeated, atol=1e-15)
+
+
+def test_a_frozen_sensor_repeats_the_faults_before_it_in_the_file():
+    bias = {"sensor": "altimeter", "kind": "bias", "size": 100.0, "start_s": 0.0}
+    freeze = {"sensor": "altimeter", "kind": "frozen"}
+    usual = flown(bias=bias)[0]["altimeter", 1.0].range
+    for faults in ({"bias": bias, "freeze": freeze}, {"freeze": freeze, "bias": bias}):
+        found, _ = flown(**faults)
+        assert found["altimeter", 1.1].range == pytest.approx(usual)
+        assert found["altimeter", 1.4].range == pytest.approx(usual)
+
+
+def test_a_sensor_frozen_from_the_start_repeats_its_first_measurement():
+    found, _ = flown(fault={"sensor": "altimeter", "kind": "frozen", "start_s": 0.0})
+    ranges = [m.range for (name, _), m in found.items() if name == "altimeter"]
+    assert len(ranges) > 10
+    assert len(set(ranges)) == 1
+
+
+@pytest.mark.parametrize("order", [("bias", "freeze"), ("freeze", "bias")])
+def test_a_bias_of_a_frozen_inertial_unit_does_not_grow(order):
+    faults = {
+        "bias": {"sensor": "imu", "kind": "bias", "channel": "acceleration", "size": 1.0,
+                 "start_s": 0.0, "end_s": 1.25},
+        "freeze": {"sensor": "imu", "kind": "frozen"},
+    }  # fmt: skip
+    found, _ = flown(**{name: faults[name] for name in order})
+    last, *frozen = (found["imu", time].velocity[:, 2] for time in (1.1, 1.2, 1.3, 1.4))
+    quantum = 1e-4
+    assert frozen[0] == pytest.approx(np.full(10, last[-1]), abs=quantum)
+    # A bias before the freeze is repeated with it; one after the freeze ends on its own.
+    after = last[-1] - (0.01 if order == ("freeze", "bias") else 0.0)
+    assert frozen[2] == pytest.approx(np.full(10, after), abs=quantum)
+
+
+def test_latencies_of_one_sensor_add_up():
+    exact = {"altimeter": {"noise_ratio": 0.0, "noise_floor_m": 1e-9}}
+    late = {"kind": "latency", "sensor": "altimeter", "delay_s": 0.3, "start_s": START}
+    tap = MessageRecorder()
+    scenario = SCENARIO.changed(sensors=exact, sensor_faults={"a": late, "b": late})
+    simulation = lunarsim.Simulation(scenario, 3, None, tap=tap)
+    while simulation.time < 1.5:
+        simulation.move()
+    ranges = {round(m.time, 6): dict(m.items)["altimeter"] for m, _, _ in tap.exchanges}
+    assert ranges[1.1].range == pytest.approx(ranges[0.5].range, abs=1e-6)
+
+
+def test_the_end_of_a_fault_is_exclusive():
+    found, _ = flown(fault={"sensor": "altimeter", "kind": "dropout", "end_s": 1.2})
+    assert ("altimeter", 1.1) not in found
+    assert ("altimeter", 1.2) in found
+
+
+def test_a_checkpoint_within_faults_continues_with_the_same_bits():
+    faults = {
+        "late": {"sensor": "altimeter", "kind": "latency", "delay_s": 0.35, "start_s": 0.5},
+        "hiss": {"sensor": "velocimeter", "kind": "noise", "sigma": 0.1, "start_s": 0.0},
+        "stuck": {"sensor": "stars", "kind": "frozen", "start_s": 0.7},
+        "bias": {"sensor": "imu", "kind": "noise", "sigma": 1e-3, "start_s": 0.0},
+        "freeze": {"sensor": "imu", "kind": "frozen", "start_s": 0.8, "end_s": 1.0},
+    }
+    simulation = lunarsim.Simulation(SCENARIO.changed(sensor_faults=faults), 3, None)
+    while simulation.time < 0.9 - 1e-9:
+        simulation.move()
+    again = Checkpoint(simulation).resumed()
+    for one in (simulation, again):
+        while one.time < 1.5:
+            one.move()
+    first, second = simulation.flight(), again.flight()
+    for name, column in (first.trajectory | first.navigation).items():
+        assert (second.trajectory | second.navigation)[name].tobytes() == column.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("kind", "key", "value"), [("bias", "size", -1e5), ("drift", "rate", 1e308),
+                               ("noise", "sigma", 1e300), ("bias", "size", float("nan"))],
+)  # fmt: skip
+def test_sizes_beyond_their_bounds_are_refused(kind, key, value):
+    """A huge size made a mapper or the filter fail in flight, with an unrelated message."""
+    with pytest.raises(lunarsim.InputError, match=rf"sensor_faults\.a\.{key}: must be"):
+        SCENARIO.changed(sensor_faults={"a": {"sensor": "flash", "kind": kind, key: value}})
 
 
 def test_latency_delivers_older_measurements_with_current_stamps():

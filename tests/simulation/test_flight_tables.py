@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pandas as pd
@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
 from lunarsim.evaluation.consistency import normalised_squared_error
-from lunarsim.onboard.policies.library import Safest
+from lunarsim.onboard.policies.library import Safest, SafestOrAbort
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Flight, Simulation
 from lunarsim.simulation.columns import ACTUATORS, COLUMN_TABLES, SCHEMA_VERSION
-from lunarsim.simulation.recorder import MessageRecorder
+from lunarsim.simulation.recorder import MessageRecorder, Recorder
 from tests.conftest import SCENARIOS
 from tests.flight_comparison import assert_same, assert_the_same, replayed
 from tests.navigation_errors import error_of
@@ -193,6 +193,41 @@ def test_a_record_of_schema_version_1_loads_without_the_new_tables(flown, tmp_pa
     # Saved again, it still has no estimates, also where another flight was.
     again = Flight.load(old.save(flight.save(tmp_path / "again")))
     assert again.navigation == {} and not (tmp_path / "again" / "navigation.parquet").exists()
+
+
+@pytest.mark.parametrize("damage", ["rows", "times"])
+def test_a_table_that_does_not_fit_its_trajectory_is_refused(flown, tmp_path, damage):
+    _, _, flight, _, _ = flown
+    rows = {name: column.copy() for name, column in flight.navigation.items()}
+    if damage == "rows":
+        rows = {name: column[:3] for name, column in rows.items()}
+    else:
+        rows["time"][5] = np.nan
+    folder = replace(flight, navigation=rows).save(tmp_path / "other")
+    with pytest.raises(InputError, match="navigation") as caught:
+        Flight.load(folder)
+    assert ("rows" if damage == "rows" else "times are not finite") in str(caught.value)
+
+
+def test_there_is_no_guidance_target_during_an_abort():
+    policy = SafestOrAbort(p_safe_min=1.0, abort_altitude=170.0)
+    commands = Simulation(scenario_with(False), SEED, policy).run().commands
+    aborts = commands["abort"] == 1.0
+    assert 0 < aborts.sum() < len(aborts)
+    for name in ("target_position_x", "target_velocity_z"):
+        assert np.isnan(commands[name][aborts]).all()
+        assert np.isfinite(commands[name][~aborts]).any()
+
+
+def test_commands_to_thrusters_after_the_touchdown_are_not_recorded(flown):
+    simulation, _, flight, _, _ = flown
+    end = simulation.computer.time
+    rows = [np.full(6, end - 0.02), np.full(6, end), np.full(6, end + 0.02)]
+    made = Recorder(flight.target).flight(
+        simulation.computer, scenario="", seed={}, policy="", outcome=flight.outcome, actuators=rows
+    )
+    assert list(made.actuators["time"]) == [end - 0.02, end]
+    assert list(made.actuators)[-1] == "on_time_0"
 
 
 def test_a_record_of_a_later_schema_version_is_refused(flown, tmp_path):
