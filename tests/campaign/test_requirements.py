@@ -145,6 +145,15 @@ def test_the_command_prints_writes_and_judges(folder, tmp_path):
     assert "pass" not in failed.output
 
 
+def test_a_campaign_with_flights_to_come_is_not_verified(folder, tmp_path, monkeypatch):
+    (tmp_path / "easy.toml").write_text(GOOD)
+    expected = property(lambda results: len(results.table) + 1)
+    monkeypatch.setattr(type(load_results(folder)), "expected_rows", expected)
+    words = ["campaign", "verify", str(folder), str(tmp_path / "easy.toml")]
+    found = CliRunner().invoke(main, words)
+    assert found.exit_code == 1 and "not complete: 80 of 81 flights" in found.output
+
+
 def test_only_independent_flights_of_equal_weight_count(folder):
     results, stated = load_results(folder), [Requirement("A", "safe", percentage=1.0)]
     # In blocks of three flights, the second repeats the worlds of the others.
