@@ -45,9 +45,9 @@ def network():
 
 
 def test_it_lands_on_seeds_that_no_training_has(network):
-    """0.957 of 5,000 flights land. Which flights do depends on how a processor rounds."""
+    """0.880 of 1,000 flights do. Which flights depends on how a processor rounds."""
     share, burnt = landed(network, 500, 31)
-    assert share >= binom.ppf(CHANCE, 500, 0.957) / 500
+    assert share >= binom.ppf(CHANCE, 500, 0.88) / 500
     assert 30.0 < burnt < 60.0
 
 

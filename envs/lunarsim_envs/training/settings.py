@@ -33,12 +33,12 @@ class PpoSettings:
         Dispersion of the start, 1 sigma per axis, m and m/s.
     """
 
-    steps: int = 5_000_000
+    steps: int = 10_000_000
     seed: int = 0
-    lanes: int = 64
+    lanes: int = 256
     horizon: int = 128
-    batch: int = 512
-    learning_rate: float = 3e-4
+    batch: int = 2048
+    learning_rate: float = 1e-3
     position_sigma: float = 100.0 / 3.0
     velocity_sigma: float = 10.0
 
