@@ -22,6 +22,8 @@ from lunarsim.vehicle.state import State
 # misread a new record, or does not find what it reads. Version 1 has no `schema_version` and only
 # the tables trajectory, scans, candidates and readings.
 SCHEMA_VERSION = 2
+# Maximum size of the readings of a sensor, bytes: 200 scans of 256 x 256 pixels have 1.9 GB.
+MAX_READINGS_BYTES = 2**31
 # Frames of the columns, as in `lunarsim.frames`.
 TRUE_FRAME, LOCAL_FRAME, SITE_FRAME, BODY_FRAME = (
     "true ENU: origin at the centre of the terrain, at its mean elevation",

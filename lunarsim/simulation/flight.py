@@ -41,6 +41,7 @@ from lunarsim.simulation.columns import (
     CANDIDATES,
     COLUMN_TABLES,
     LOCAL_FRAME,
+    MAX_READINGS_BYTES,
     NAVIGATION,
     SCANS,
     SCHEMA_VERSION,
@@ -49,7 +50,6 @@ from lunarsim.simulation.columns import (
     Table,
 )
 from lunarsim.simulation.flight_files import (
-    MAX_READINGS_BYTES,
     digest_of,
     read_columns,
     read_layers,
@@ -297,7 +297,8 @@ class Flight:
         """Return the content of ``flight.json`` without the digests of the other files."""
         first = self.first_map
         return {
-            "schema_version": SCHEMA_VERSION,
+            # A record that was loaded from version 1 has no estimates.
+            "schema_version": SCHEMA_VERSION if self.navigation else 1,
             "tables": [table.name for table in COLUMN_TABLES if getattr(self, table.name)],
             "frames": FRAMES,
             "scenario": self.scenario,
@@ -353,8 +354,11 @@ class Flight:
                 scans=read_rows(folder, SCANS.name, list(SCANS.columns())),
                 candidates=read_rows(folder, CANDIDATES.name, list(CANDIDATES.columns())),
                 readings={
+                    # Encoded, a table may be larger than its numbers.
                     name: read_columns(
-                        folder, folder / f"readings.{name}.parquet", max_bytes=MAX_READINGS_BYTES
+                        folder,
+                        folder / f"readings.{name}.parquet",
+                        max_bytes=2 * MAX_READINGS_BYTES,
                     )
                     for name in record.get("readings", [])
                 },

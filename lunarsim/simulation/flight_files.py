@@ -24,14 +24,17 @@ from lunarsim.errors import InputError, error_reason
 from lunarsim.grid import Grid
 from lunarsim.scenario.errors import plain_problem
 from lunarsim.scenario.files import parsed_toml
-from lunarsim.simulation.columns import SCHEMA_VERSION, Table
+from lunarsim.simulation.columns import (
+    COMMANDS,
+    NAVIGATION,
+    SCHEMA_VERSION,
+    Table,
+)
 from lunarsim.typing import Array
 from lunarsim.untrusted_files import check_no_links, read_json
 
 # Maximum decompressed size of a table or layer, bytes. A flight of three hours has 25 MB.
 MAX_EXPANDED_BYTES = 2**28
-# The same for the readings of a sensor: 200 scans of 256 x 256 pixels have 1.9 GB.
-MAX_READINGS_BYTES = 2**31
 
 _Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=100)]
 _Count = Annotated[int, Field(ge=0)]
@@ -101,7 +104,7 @@ class _Estimate(_StrictRecord):
 class FlightRecord(_StrictRecord):
     """Required content of ``flight.json``, the main file of a recorded flight."""
 
-    schema_version: _Count = 1
+    schema_version: Annotated[int, Field(ge=1)] = 1
     tables: list[_Name] = []
     scenario: str
     seed: _Seed
@@ -189,6 +192,9 @@ def read_record(folder: Path) -> dict[str, Any]:
                 "Read it with the version of lunarsim that wrote it, or a later one.", False,
             )  # fmt: skip
         checked = FlightRecord.model_validate(tables)
+        missing = {NAVIGATION.name, COMMANDS.name} - set(checked.tables)
+        if checked.schema_version > 1 and missing:
+            raise _DefectError(f"tables lacks {', '.join(sorted(missing))}")
         parsed_toml(checked.scenario)
     for name, digest in checked.digests.items():
         with reading(folder / name):

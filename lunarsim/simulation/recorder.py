@@ -18,6 +18,7 @@ from lunarsim.onboard.policies.contract import Candidates, Decision
 from lunarsim.simulation.columns import (
     ACTUATORS,
     COMMANDS,
+    MAX_READINGS_BYTES,
     NAVIGATION,
     SAMPLE_FIELDS,
     TRAJECTORY,
@@ -105,8 +106,10 @@ class Recorder:
         for sensor, measurement in measurements.items:
             if isinstance(measurement, LidarScan | CameraImage):
                 self._record_sensor(sensor, measurement, computer)
-            if sensor in self._readings:
-                self._readings[sensor].add(measurement)
+            if sensor in self._readings and not self._readings[sensor].add(measurement):
+                self._sensor_events.append(
+                    {"time": computer.time, "name": "recording-full", "sensor": sensor}
+                )
         for name in computer.updated_mappers:
             self._errors[name] = error
             if self._first_map is None:
@@ -218,9 +221,16 @@ class _Readings:
         self.sensor = sensor
         self.names: list[str] = []
         self.blocks: list[Array] = []
+        self._bytes = 0
 
-    def add(self, measurement: Any) -> None:
-        """Record the numbers of a measurement; raise InputError for other contents."""
+    def add(self, measurement: Any) -> bool:
+        """Record the numbers of a measurement; raise InputError for other contents.
+
+        Return false for the first measurement that exceeds the maximum size of a record. This one
+        and later ones are not recorded.
+        """
+        if self._bytes > MAX_READINGS_BYTES:
+            return True
         names, block = self._block(measurement)
         if self.blocks and names != self.names:
             raise InputError(
@@ -228,7 +238,11 @@ class _Readings:
                 f"must give the same numbers in every reading, as in the first: {self.names}",
             )  # fmt: skip
         self.names = names
+        self._bytes += block.nbytes
+        if self._bytes > MAX_READINGS_BYTES:
+            return False
         self.blocks.append(block)
+        return True
 
     def as_columns(self) -> dict[str, Array]:
         """Return all recorded rows as columns (n,) by name."""

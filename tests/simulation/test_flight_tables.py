@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import shutil
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -228,6 +229,34 @@ def test_commands_to_thrusters_after_the_touchdown_are_not_recorded(flown):
     )
     assert list(made.actuators["time"]) == [end - 0.02, end]
     assert list(made.actuators)[-1] == "on_time_0"
+
+
+@pytest.mark.parametrize(
+    ("version", "tables"), [(2, []), (2, ["trajectory", "commands"]), (0, []), (-1, [])]
+)
+def test_a_record_without_the_tables_of_its_version_is_refused(flown, tmp_path, version, tables):
+    folder = tmp_path / "flight"
+    shutil.copytree(flown[4], folder)
+    record = json.loads((folder / "flight.json").read_text())
+    changed = record | {"schema_version": version, "tables": tables}
+    (folder / "flight.json").write_text(json.dumps(changed))
+    with pytest.raises(InputError, match="flight"):
+        Flight.load(folder)
+
+
+def test_readings_beyond_the_maximum_size_are_left_out_with_an_event(tmp_path, monkeypatch):
+    monkeypatch.setattr("lunarsim.simulation.recorder.MAX_READINGS_BYTES", 20_000)
+    simulation = Simulation(scenario_with(True), SEED, "safest")
+    while simulation.time < 4.0:
+        simulation.step()
+    flight = Flight.load(simulation.flight().save(tmp_path / "flight"))
+    full = [event["sensor"] for event in flight.events if event["name"] == "recording-full"]
+    assert sorted(full) == ["flash", "imu"]  # once each; the others have few numbers
+    sizes = {
+        name: sum(c.nbytes for c in columns.values()) for name, columns in flight.readings.items()
+    }
+    assert 10_000 < sizes["imu"] <= 20_000
+    assert len(flight.readings["stars"]["time"]) > 3
 
 
 def test_a_record_of_a_later_schema_version_is_refused(flown, tmp_path):
