@@ -49,7 +49,9 @@ def test_a_flight_that_is_down_before_its_first_decision_ends_with_the_first_ste
 def test_time_may_run_out_before_the_first_decision():
     """The whole computer: it starts above the height of the first decision."""
     env = RetargetEnv(
-        SMALL, changes={"simulation.max_time_s": 1.0, "decisions.first_altitude_m": 150.0}
+        SMALL,
+        perception="onboard",
+        changes={"simulation.max_time_s": 1.0, "decisions.first_altitude_m": 150.0},
     )
     env.reset(seed=1)
     *_, terminated, truncated, info = env.step(0)

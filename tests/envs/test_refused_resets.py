@@ -52,7 +52,10 @@ def test_a_start_that_the_flight_itself_refuses_leaves_seed_flight_and_frame(opt
     """The whole computer finds only as it begins that no path leads from there."""
     env, other = (
         gymnasium.make(
-            "lunarsim_envs:lunarsim/Retarget-v1", scenario=SMALL, render_mode="rgb_array"
+            "lunarsim_envs:lunarsim/Retarget-v1",
+            scenario=SMALL,
+            perception="onboard",
+            render_mode="rgb_array",
         ).unwrapped
         for _ in range(2)
     )

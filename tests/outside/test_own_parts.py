@@ -45,7 +45,7 @@ def test_a_terrain(small):
 
 
 def test_an_environment(small):
-    env = gymnasium.make("own_environment:own/StayHome-v0", scenario=small)
+    env = gymnasium.make("own_environment:own/StayHome-v0", scenario=small, perception="onboard")
     env.reset(seed=1)
     _, reward, _, _, info = env.step(0)
     assert reward == pytest.approx(sum(info["reward_terms"].values()))

@@ -9,6 +9,7 @@ import pyarrow.compute as pc
 
 from lunarsim.campaign.factors import folder_name
 from lunarsim.campaign.results import Results
+from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.flight_files import read_trajectory
 from lunarsim.typing import Array
@@ -69,10 +70,13 @@ def _limits(results: Results) -> tuple[dict[str, float], str]:
     ):
         return {}, "Limits are not drawn: they differ between flights."
     text = read_bounded_bytes(path).decode(errors="replace")
-    scenario = Scenario.world_from_toml(text, path.parent.resolve())
+    try:
+        scenario = Scenario.world_from_toml(text, path.parent.resolve())
+        lander = scenario.true_lander()
+    except InputError:
+        return {}, "Limits are not drawn: the scenario in the folder cannot be loaded."
     if scenario.legs is not None:
         return {}, "Limits are not drawn: the simulated motion on the legs decides."
-    lander = scenario.true_lander()
     speeds = {
         n: float(getattr(lander, n)) for n in ("horizontal_speed_limit", "vertical_speed_limit")
     }
