@@ -6,6 +6,7 @@ not know it. Faults of one sensor act in the order of the scenario file.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -82,8 +83,11 @@ class SensorFault:
 
     @classmethod
     def applies_to(cls, measurement_type: type) -> bool:
-        """Return whether sensors with a type of measurement can have this fault."""
-        raise NotImplementedError
+        """Return whether sensors with a type of measurement can have this fault.
+
+        By default, all can except inertial units, which the attitude control needs.
+        """
+        return not issubclass(measurement_type, InertialSamples)
 
     def apply(self, measurement: Any, held: Any, time: float, rng: np.random.Generator) -> Any:
         """Return the faulty measurement.
@@ -95,7 +99,7 @@ class SensorFault:
 
 
 @dataclass(frozen=True)
-class AdditiveFault(SensorFault):
+class AdditiveFault(SensorFault, ABC):
     """Fault that adds an error to one measured quantity.
 
     Attributes
@@ -126,20 +130,11 @@ class AdditiveFault(SensorFault):
         """Return whether a measured quantity of the sensor can have an error added."""
         return bool(channels_of(measurement_type))
 
+    @abstractmethod
     def offset(
         self, channel: str, time: float, shape: tuple[int, ...], rng: np.random.Generator
     ) -> Array:
-        """Return the error of a quantity with a shape at a time (s), in SI units.
-
-        The error of a vector has the direction of the fault; all ranges and all speeds of a
-        sensor have the same error.
-        """
-        size = self.size_at(time)
-        return size * np.asarray(self.direction) if channel in _VECTORS else np.full(shape, size)
-
-    def size_at(self, time: float) -> float:
-        """Return the size of the error at a time, s, in SI units."""
-        raise NotImplementedError
+        """Return the error of a quantity with a shape at a time (s), in SI units."""
 
     def apply(self, measurement: Any, held: Any, time: float, rng: np.random.Generator) -> Any:
         """Return the measurement with the error added to its quantity."""
@@ -159,8 +154,27 @@ class AdditiveFault(SensorFault):
         return replace(measurement, **{channel: value + error})
 
 
+class SystematicFault(AdditiveFault):
+    """Fault that adds an error of a known size.
+
+    The error of a vector has the direction of the fault; all ranges and all speeds of a sensor have
+    the same error.
+    """
+
+    @abstractmethod
+    def size_at(self, time: float) -> float:
+        """Return the size of the error at a time, s, in SI units."""
+
+    def offset(
+        self, channel: str, time: float, shape: tuple[int, ...], rng: np.random.Generator
+    ) -> Array:
+        """Return the error of a quantity with a shape at a time (s), in SI units."""
+        size = self.size_at(time)
+        return size * np.asarray(self.direction) if channel in _VECTORS else np.full(shape, size)
+
+
 @dataclass(frozen=True)
-class BiasFault(AdditiveFault):
+class BiasFault(SystematicFault):
     """Constant error of a measured quantity."""
 
     size: float = quantity(
@@ -176,7 +190,7 @@ class BiasFault(AdditiveFault):
 
 
 @dataclass(frozen=True)
-class DriftFault(AdditiveFault):
+class DriftFault(SystematicFault):
     """Error of a measured quantity that grows from zero in proportion to time."""
 
     rate: float = quantity(
@@ -215,11 +229,6 @@ class DropoutFault(SensorFault):
 
     is_silent: ClassVar[bool] = True
 
-    @classmethod
-    def applies_to(cls, measurement_type: type) -> bool:
-        """Return True except for inertial units, which the attitude control needs."""
-        return not issubclass(measurement_type, InertialSamples)
-
 
 @dataclass(frozen=True)
 class FrozenFault(SensorFault):
@@ -245,11 +254,6 @@ class LatencyFault(SensorFault):
     delay: float = quantity(
         0.1, "s", gt=0, le=60, help="age of a measurement, rounded up to control cycles"
     )
-
-    @classmethod
-    def applies_to(cls, measurement_type: type) -> bool:
-        """Return True except for inertial units, whose samples control the attitude."""
-        return not issubclass(measurement_type, InertialSamples)
 
 
 @dataclass(frozen=True)

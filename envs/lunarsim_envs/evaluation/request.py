@@ -24,8 +24,6 @@ _DEFAULTS = {
     "lunarsim/Retarget-v1": default_scenario, "lunarsim/Guidance-v1": flat_scenario,
     "lunarsim/Control-v1": flat_scenario,
 }  # fmt: skip
-# Default number of worlds of an evaluation, by default scenario.
-_WORLDS: dict[Any, int] = {default_scenario: 16}
 
 
 def _environment_id(env_name: str) -> str:
@@ -114,7 +112,8 @@ def evaluation_study(
     if split not in SPLITS:
         raise InputError("--split", split, "is unknown", suggestion(split, SPLITS))
     if own is not None:
-        arguments = {"split": "test", "worlds": _WORLDS.get(own, 1)} | arguments
+        worlds = 16 if own is default_scenario else 1
+        arguments = {"split": "test", "worlds": worlds} | arguments
     flown: Scenario | None = None
     if scenario is not None:
         flown = Scenario.load(found(scenario))
