@@ -193,7 +193,7 @@ def test_all_batches_are_tried_with_a_step_limit():
     [*product(("Retarget-v1", "Guidance-v1"), MODES), ("Control-v1", "SameStep")],
 )
 def test_lanes_with_a_step_limit_are_environments_within_gymnasiums_time_limit(name, mode):
-    """Of Guidance-v1, flights from low starts end by themselves; others at the limit."""
+    """In Guidance-v1, flights from low starts end before the limit, and others at the limit."""
     settings, shape, limit = LIMITED[name]
 
     def act(rng):

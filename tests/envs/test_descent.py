@@ -170,15 +170,15 @@ def test_shaping_reports_the_same_of_every_flight_from_one_start():
     for law in laws.values():
         observation, _ = vector.reset(seed=3)
         wanted = -descents.rewards.potential()
-        told, waiting = np.zeros(8), np.ones(8, bool)
+        total, waiting = np.zeros(8), np.ones(8, bool)
         while waiting.any():
             observation, _, terminated, truncated, info = vector.step(law(observation))
             assert not truncated.any()
-            told += np.where(waiting, info["reward_terms"]["shaping"], 0.0)
+            total += np.where(waiting, info["reward_terms"]["shaping"], 0.0)
             ended = np.flatnonzero(terminated & waiting)
             causes |= {descents.lanes.failure_causes(i) for i in ended}
             waiting &= ~terminated
-        assert told == pytest.approx(wanted, rel=1e-9)
+        assert total == pytest.approx(wanted, rel=1e-9)
     assert {(), ("time-limit",), ("flown-away",)} <= causes
 
 

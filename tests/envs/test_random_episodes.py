@@ -52,12 +52,12 @@ def test_a_thousand_random_episodes(name, lanes, settings):
         assert np.isfinite(reward).all()
         terms = info["reward_terms"]
         assert np.allclose(sum(terms.values()), reward, rtol=0.0, atol=1e-12)
-        # Shaping aside, whose sum depends on the start.
+        # Without shaping, whose sum depends on the start.
         returns += reward - terms["shaping"]
         over = terminated | truncated
         if over.any():
-            least, most = (-3.0, 1.0) if name == "Retarget-v1" else (-15.8, 10.0)
-            assert ((returns[over] > least) & (returns[over] <= most)).all()
+            low, high = (-3.0, 1.0) if name == "Retarget-v1" else (-15.8, 10.0)
+            assert ((returns[over] > low) & (returns[over] <= high)).all()
             assert returns[over] == pytest.approx(info["score"][over], abs=1e-9)
         returns[over] = 0.0
         done += int(over.sum())

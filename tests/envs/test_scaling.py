@@ -52,11 +52,11 @@ def test_scaled_observations_are_those_in_si_units(kind, names, changes):
         if over:
             break
         action = rng.uniform(-0.3, 0.3, env.action_space.shape).astype(np.float32)
-        (seen, earned, over, _, told), (physical, own, ended, _, info) = (
+        (seen, earned, over, _, scaled_info), (physical, own, ended, _, info) = (
             one.step(action) for one in (env, plain)
         )
         # The flight is the same.
-        assert (earned, over) == (own, ended) and told == info
+        assert (earned, over) == (own, ended) and scaled_info == info
 
 
 def test_components_are_as_documented():
@@ -75,10 +75,10 @@ def test_observations_of_a_batch_are_scaled_and_converted_row_by_row():
     ended = np.zeros(5, bool)
     while not ended.any():
         *_, info = vector.step(np.tile(np.float32([0.0, 0.0, -0.5]), (5, 1)))
-        *_, told = plain.step(np.tile(np.float32([0.0, 0.0, -0.5]), (5, 1)))
+        *_, scaled_info = plain.step(np.tile(np.float32([0.0, 0.0, -0.5]), (5, 1)))
         ended = info.get("_final_obs", ended)
     last = vector.descents.physical(info["final_obs"])
-    assert last == pytest.approx(told["final_obs"], rel=1e-6, abs=1e-7)
+    assert last == pytest.approx(scaled_info["final_obs"], rel=1e-6, abs=1e-7)
 
 
 @pytest.mark.parametrize("is_scaled", [True, False])
