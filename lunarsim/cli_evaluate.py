@@ -130,7 +130,7 @@ def evaluate(
       lunarsim evaluate Guidance-v1 --agent apollo --agent polynomial --episodes 50
     """  # noqa: D301
     from lunarsim.campaign.provenance import environment
-    from lunarsim_envs.evaluation.parallel import WorkersDieError, check_agents, fly
+    from lunarsim_envs.evaluation.parallel import WorkersDieError, check_request, fly
     from lunarsim_envs.evaluation.request import evaluation_study
     from lunarsim_envs.evaluation.results import add_on_target, agent_metrics, differences, write
     from lunarsim_envs.evaluation.tables import agents_table, differences_table
@@ -147,7 +147,7 @@ def evaluate(
     asked = replace(
         evaluation_study(env, scenario, values, seed, **given), trust_pickle=trust_pickle
     )
-    check_agents(asked, agents)
+    check_request(asked, agents, episodes)
     console = wide_console(170)
     with (
         add_to_interrupt_message("no file was written"),

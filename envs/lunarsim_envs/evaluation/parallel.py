@@ -26,14 +26,16 @@ class WorkersDieError(RuntimeError):
     """Error: a worker process of a parallel evaluation died."""
 
 
-def check_agents(study: EvaluationStudy, agents: Sequence[str]) -> None:
-    """Check that agents exist, have distinct names and can fly the environment.
+def check_request(study: EvaluationStudy, agents: Sequence[str], episodes: int) -> None:
+    """Check the number of episodes, and that agents exist and can fly the environment.
 
     Raises
     ------
     InputError
-        If there are no agents, or one of them fails a check.
+        If there are too many episodes, no agents or equal names, or an agent fails a check.
     """
+    if episodes > MAX_FLIGHTS:
+        raise InputError("--episodes", episodes, f"must be at most {MAX_FLIGHTS:,}")
     if not agents:
         raise InputError("--agent", None, "must be given at least once", show_value=False)
     for agent in agents:
@@ -83,10 +85,8 @@ def fly(
     Raises
     ------
     InputError
-        If there are too many episodes, or worker processes cannot load the environment or an agent.
+        If worker processes cannot load the environment or an agent.
     """
-    if episodes > MAX_FLIGHTS:
-        raise InputError("--episodes", episodes, f"must be at most {MAX_FLIGHTS:,}")
     report = progress or (lambda n: None)
     work = [
         (agent, range(first, min(first + _CHUNK, episodes)))
