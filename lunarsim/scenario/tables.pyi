@@ -352,9 +352,11 @@ class WindowChanges(TypedDict, total=False):
     upper_edge_deg: float
 
 class RecordTable(PartSettings):
+    images: bool
     measurements: bool
 
 class RecordChanges(TypedDict, total=False):
+    images: bool
     measurements: bool
 
 class SiteRewardTable(PartSettings):

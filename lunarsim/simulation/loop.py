@@ -19,6 +19,7 @@ from lunarsim.onboard.policies.contract import Decision, Observation, Retargetin
 from lunarsim.parts import resolve, settings_of
 from lunarsim.rng import RandomStreams
 from lunarsim.scenario import Scenario
+from lunarsim.scenario.mission import RecordSettings
 from lunarsim.sensors.faults import SensorFault
 from lunarsim.simulation.columns import CommandCycle, Cycle
 from lunarsim.simulation.cycle import fly_cycle
@@ -78,16 +79,18 @@ def _faults(scenario: Scenario, lander: Lander) -> Faults | None:
     return made
 
 
-def _recorded_sensors(scenario: Scenario) -> list[str]:
-    """Return the names of the sensors whose readings the flight record keeps."""
-    keeps_all = scenario.record is not None and scenario.record.make().measurements
-    sensors = {name: part.make() for name, part in scenario.sensors.items()}
-    return [
-        name
-        for name, sensor in sensors.items()
-        if getattr(sensor, "is_recorded", False)
-        or (keeps_all and not issubclass(sensor.measurement_type, CameraImage))
-    ]
+def _recorded_sensors(scenario: Scenario) -> tuple[list[str], list[str]]:
+    """Return the names of the recorded sensors, and of the recorded cameras."""
+    settings = RecordSettings() if scenario.record is None else scenario.record.make()
+    readings: list[str] = []
+    cameras: list[str] = []
+    for name, part in scenario.sensors.items():
+        sensor = part.make()
+        is_camera = issubclass(sensor.measurement_type, CameraImage)
+        is_kept = settings.images if is_camera else settings.measurements
+        if is_kept or getattr(sensor, "is_recorded", False):
+            (cameras if is_camera else readings).append(name)
+    return readings, cameras
 
 
 def _sensor_faults(
@@ -179,7 +182,7 @@ class Simulation:
         # A policy that uses the truth is queried here; any other runs on the computer.
         self._oracle = self.policy if getattr(self.policy, "knows_truth", False) else None
         self.computer = OnboardComputer(briefing, None if self._oracle else self.policy)
-        self.recorder = Recorder(briefing.target, _recorded_sensors(scenario))
+        self.recorder = Recorder(briefing.target, *_recorded_sensors(scenario))
         self._tap = tap
         if tap is not None:
             tap.briefing = briefing
@@ -292,7 +295,7 @@ class Simulation:
         self._measurements = measurements
         c = self.computer
         c.update(measurements)
-        self.recorder.record_measurements(measurements, c, self.navigation_error)
+        self.recorder.record_measurements(measurements, c, self.navigation_error, self.state)
         left = 0.0 if self.done else max(c.time_to_go, 0.0)
         self.recorder.add_cycle(Cycle(self.time, self.state, c, left))
 
