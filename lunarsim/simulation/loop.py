@@ -61,6 +61,12 @@ def make_policy(scenario: Scenario, policy: RetargetingPolicy | str | None) -> A
     return made
 
 
+def _vehicle_faults(scenario: Scenario) -> Faults | None:
+    """Create the faults of thrusters, throttle and engine; None if there are none."""
+    made: Faults | None = None if scenario.faults is None else scenario.faults.make()
+    return made if made is not None and made.occurs else None
+
+
 def _actuators(scenario: Scenario, lander: Lander, step: float) -> Actuators | None:
     """Create thrusters, gimbal and throttle of a lander, with the scenario's faults.
 
@@ -68,15 +74,7 @@ def _actuators(scenario: Scenario, lander: Lander, step: float) -> Actuators | N
     """
     if not isinstance(lander, JetLander):
         return None
-    return Actuators(lander, step, None if scenario.faults is None else scenario.faults.make())
-
-
-def _faults(scenario: Scenario, lander: Lander) -> Faults | None:
-    """Create the throttle faults of a lander without simulated thrusters, or None."""
-    if scenario.faults is None or isinstance(lander, JetLander):
-        return None
-    made: Faults = scenario.faults.make()
-    return made
+    return Actuators(lander, step, _vehicle_faults(scenario))
 
 
 def _recorded_sensors(scenario: Scenario) -> tuple[list[str], list[str]]:
@@ -176,7 +174,8 @@ class Simulation:
             max_time=clock.max_time,
             legs=None if scenario.legs is None else scenario.legs.make(),
             actuators=_actuators(scenario, lander, clock.step),
-            faults=_faults(scenario, lander),
+            # Actuators simulate the faults of a lander with thrusters.
+            faults=None if isinstance(lander, JetLander) else _vehicle_faults(scenario),
             sensor_faults=_sensor_faults(scenario, self.streams),
         )
         # A policy that uses the truth is queried here; any other runs on the computer.
