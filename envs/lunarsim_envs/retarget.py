@@ -288,8 +288,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         self.weights = checked_weights(weights, RewardWeights) or RewardWeights.of(self.scenario)
         tank = self.scenario.vehicle.make().propellant_mass
         self.rewards = SiteRewards(self.weights, tank, 1)
-        self.render_mode = render_mode
-        self.perception = perception
+        self.render_mode, self.perception = render_mode, perception
         self.actions = SiteActions(action)
         more = worlds, world_seed, surrogate, covers, split, dispersions
         self.flight = create_flight(perception, self.scenario, *more)

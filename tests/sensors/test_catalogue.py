@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import pytest
 from click.testing import CliRunner
@@ -41,7 +42,8 @@ def test_each_unit_flies_and_each_value_has_a_source(name):
                    if t["kind"] == unit.kind)  # fmt: skip
         part = scenario(**{own: {"unit": name}}).sensors[own]
     assert (part.kind, part.unit) == (unit.kind, name)
-    assert unit.source
+    assert re.search(r"https?://[^\s/]+\.[a-z]+/\S", unit.source)
+    assert "\n" not in unit.source
     assert all(source for _, source in unit.values.values())
     if unit.kind == "imu":  # omitted keys would be those of the default unit
         keys = set(settings_of(TriadErrors).model_fields) - {"correlation_time_s"}
@@ -85,6 +87,14 @@ def test_inertial_units_have_the_values_of_their_datasheets(unit, triad, bias, r
     errors = getattr(scenario(imu={"unit": unit}).sensors["imu"].make(), triad)
     assert errors.bias == pytest.approx(bias, rel=1e-12)
     assert errors.random_walk == pytest.approx(random_walk, rel=1e-3)  # 0.065 ft/s is rounded
+
+
+def test_the_camera_has_the_noise_of_its_detector():
+    """From the datasheet of the MT9P031: maximum SNR 38.1 dB, dynamic range 70.1 dB."""
+    values = {key: value for key, (value, _) in sensor_units()["TAGCAMS-NavCam"].values.items()}
+    full_well = values["full_well_electrons"]
+    assert full_well == pytest.approx(10.0 ** (38.1 / 10.0), rel=0.01)  # SNR is its square root
+    assert values["read_noise_electrons"] == pytest.approx(full_well / 10 ** (70.1 / 20), rel=0.02)
 
 
 def test_angles_of_datasheets_are_converted():
