@@ -49,13 +49,13 @@ class ImageRecord:
             If the image is damaged.
         """
         data = np.frombuffer(self.encoded[index], np.uint8)
-        counts = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+        counts: NDArray[np.unsignedinteger[Any]] | None = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
         if counts is None or counts.ndim != 2:
             raise InputError(
                 "flight", index, "has a damaged image with this index",
                 "Restore the file from a copy, or repeat the flight.",
             )  # fmt: skip
-        return counts  # type: ignore[return-value]
+        return counts
 
 
 class ImageRecorder:

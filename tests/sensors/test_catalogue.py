@@ -107,6 +107,22 @@ def test_angles_of_datasheets_are_converted():
     assert made.accelerometers.misalignment == pytest.approx(2e-4)
 
 
+@pytest.mark.parametrize(
+    "text",
+    ["1_0 deg/h", "nan deg/h", "inf deg/h", "\u0661 deg/h", "1e deg/h", ". deg/h", "0x1 deg/h"],
+)
+def test_numbers_with_units_are_decimal(text):
+    imu = {"kind": "imu", "gyroscopes": {"bias": text}}
+    with pytest.raises(lunarsim.InputError, match=r"sensors\.imu\.gyroscopes\.bias: must be a num"):
+        scenario(imu=imu)
+
+
+@pytest.mark.parametrize("text", ["0.5 deg/h", "+.5 deg/h", "5E-1 deg/h", " 0.50  deg/h "])
+def test_decimal_numbers_with_units_may_have_a_sign_and_an_exponent(text):
+    made = scenario(imu={"kind": "imu", "gyroscopes": {"bias": text}}).sensors["imu"].make()
+    assert made.gyroscopes.bias == pytest.approx(0.5 * _DEG / _HOUR)
+
+
 def test_a_change_to_a_unit_of_another_kind_names_the_table():
     """It must not replace an altimeter by a velocimeter."""
     for change in ({"unit": "NDL"}, {"unit": "NDL", "kind": "radar-altimeter"}):
