@@ -13,6 +13,10 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.spatial.transform import Rotation
 
+from lunarsim.campaign.engines.inline import InlineEngine
+from lunarsim.campaign.flight_execution import build_plan
+from lunarsim.campaign.run import run
+from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.errors import InputError
 from lunarsim.messages.measurements import CameraImage
 from lunarsim.models.camera import CameraModel
@@ -243,3 +247,21 @@ def test_a_record_of_images_without_a_camera_has_a_warning():
     assert any("record.images = true" in text for text in warnings_for(scenario(images=False)))
     with pytest.raises(InputError, match=r"record\.images"):
         Scenario.from_dict(TINY_FLIGHT | {"record": {"images": "yes"}})
+
+
+def test_a_resumed_campaign_keeps_the_images_of_all_flights(tmp_path):
+    """The arms share the path of a flight up to their decisions, by checkpoints."""
+    folder = tmp_path / "campaign"
+    spec = {
+        "name": "seen", "seed": 3, "records": "all", "scenario": scenario(seconds=2.0).to_dict(),
+        "factors": {"policy": ["no-divert", "safest"]},
+    }  # fmt: skip
+    for flights in (1, 2):
+        plan = build_plan(CampaignSpec.from_dict(spec | {"flights": flights}), folder)
+        run(plan, InlineEngine(), folder)
+    records = sorted((folder / "flights").rglob("flight.json"))
+    found = [Flight.load(record.parent).images["wide"] for record in records]
+    assert [len(images) for images in found] == [4, 4, 4, 4]
+    # The camera is pointed at the site, which is the same in both arms before a divert.
+    first, second, *other_arm = (images.encoded[0] for images in found)
+    assert other_arm == [first, second] and first != second
