@@ -54,7 +54,8 @@ def _final_values(info: dict[str, Any]) -> dict[str, Any]:
     that the environment drew have the names of their scenario keys.
     """
     row: dict[str, Any] = {}
-    for name, value in (info | info.get("dispersions", {})).items():
+    drawn = info.get("dispersions")
+    for name, value in (info | drawn if isinstance(drawn, dict) else info).items():
         if isinstance(value, bool | np.bool_):
             row[name] = bool(value)
         elif isinstance(value, int | float | np.integer | np.floating):
