@@ -372,6 +372,8 @@ def read_image(folder: Path, path: Path, size: tuple[float, float], max_bytes: i
         width, height, bits, channels = struct.unpack(">IIBB", data[16:26])
         if (width, height) != size or bits not in (8, 16) or channels != 0:
             raise _DefectError("the image has another size or type than its table states")
+        if width * height * bits // 8 > MAX_EXPANDED_BYTES:
+            raise _DefectError(f"larger than {MAX_EXPANDED_BYTES // 2**20} MiB when decompressed")
         return data
 
 

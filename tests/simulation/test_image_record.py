@@ -219,6 +219,20 @@ def test_an_image_that_cannot_be_decoded_is_refused_when_it_is_read(flown, tmp_p
         loaded[1]
 
 
+def test_an_image_that_would_fill_the_memory_is_refused_before_it_is_decoded(flown, tmp_path):
+    folder = shutil.copytree(flown[2], tmp_path / "flight")
+    table = pd.read_parquet(folder / "images.wide.parquet")
+    table["width"], table["height"] = 60_000.0, 60_000.0
+    table.to_parquet(folder / "images.wide.parquet")
+    forged(folder, "images.wide.parquet", (folder / "images.wide.parquet").read_bytes())
+    name = "images/wide/000000.png"
+    data = bytearray((folder / name).read_bytes())
+    data[16:24] = 2 * (60_000).to_bytes(4, "big")
+    forged(folder, name, bytes(data))
+    with pytest.raises(InputError, match="MiB when decompressed"):
+        Flight.load(folder)
+
+
 def test_names_of_cameras_that_leave_the_folder_are_refused(flown, tmp_path):
     folder = shutil.copytree(flown[2], tmp_path / "flight")
     record = json.loads((folder / "flight.json").read_text())
