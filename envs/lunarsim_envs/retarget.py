@@ -124,8 +124,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
       (m).
     - ``hazard_crop`` (2, 33, 33): p_safe and observed mask around the current site, 1 m spacing.
 
-    p_safe is the probability, given the measurements, that a touchdown centred there at any heading
-    breaks none of the limits of slope, roughness and belly clearance. It excludes speed, tilt,
+    p_safe is the probability, given the measurements, that a touchdown centred there violates none
+    of the limits of slope, roughness and belly clearance, whatever its heading. It excludes speed, tilt,
     tip-over and position error. ``sites``, ``candidates`` and ``site`` average it over the expected
     position error.
 
