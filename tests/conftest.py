@@ -32,6 +32,19 @@ def pytest_collection_finish() -> None:
     gc.set_threshold(20_000, 20, 20)
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Let processes take files from both ends of the list in turn.
+
+    Neighbouring files use the same kernels. Two processes that start with neighbours would both
+    compile these kernels.
+    """
+    if not hasattr(config, "workerinput"):
+        return
+    files = list(dict.fromkeys(item.path for item in items))
+    turn = {path: min(2 * k, 2 * (len(files) - k) - 1) for k, path in enumerate(files)}
+    items.sort(key=lambda item: turn[item.path])
+
+
 @pytest.fixture
 def small_scenario() -> Scenario:
     """A quick flight over rolling ground: 96 x 96 pixels, a coarse map."""

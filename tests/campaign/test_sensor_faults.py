@@ -36,7 +36,7 @@ def flown(folder, engine):
 
 
 def test_a_campaign_disperses_faults_with_the_same_bits_in_other_processes(tmp_path):
-    one, other = flown(tmp_path / "a", InlineEngine()), flown(tmp_path / "b", LocalEngine(2))
+    one, other = flown(tmp_path / "a", InlineEngine()), flown(tmp_path / "b", LocalEngine(1))
     for key in KEYS:
         drawn = next(values for name, values in one.items() if name.endswith(key))
         assert len(set(drawn)) == 3

@@ -134,8 +134,12 @@ def test_a_policy_gets_interest_and_scoreboard_where_there_is_no_world(tmp_path)
     assert_the_same(tap.exchanges, replayed(tap, ScoreboardChoice(), tmp_path))
 
 
-# The test above replays a sweep.
-@pytest.mark.parametrize("make", [flash, camera, both, instruments], ids=lambda f: f.__name__)
+# The test above replays a sweep; `both` has a camera too.
+@pytest.mark.parametrize(
+    "make",
+    [flash, both, instruments, pytest.param(camera, marks=pytest.mark.slow)],
+    ids=lambda f: f.__name__,
+)
 def test_replayed_measurements_give_the_same_commands_without_a_world(make, tmp_path):
     tap = MessageRecorder()
     simulation = Simulation(make(), 6, "safest", tap=tap)
