@@ -177,12 +177,13 @@ class Late:
 
 
 @pytest.mark.statistical
-def test_the_unscented_filter_has_the_stated_error(scenario):
+@sample_sizes(2, 4)
+def test_the_unscented_filter_has_the_stated_error(scenario, count):
     plain = scenario.changed(
         navigation={"kind": "ukf"}, sensors={"flash": None}, tasking={"flash": None}
     )
     nees, mass = Consistency(), []
-    for seed in range(4):
+    for seed in range(count):
         simulation = Simulation(plain, seed, "no-divert")
         navigation, epochs = simulation.computer.navigation, 0
         while not simulation.done:
@@ -198,7 +199,7 @@ def test_the_unscented_filter_has_the_stated_error(scenario):
         assert not simulation.computer.estimate.lost
         assert not {"covariance-inflated", "lost"} & set(events(simulation))
     # Modest: what lasts and is taken for noise is made larger. Never sure of too much.
-    assert 0.4 < nees.ratio < ratio_bounds(4 * 9)[1]
+    assert 0.4 < nees.ratio < ratio_bounds(count * 9)[1]
     assert np.abs(mass).max() < 1.0
 
 

@@ -148,7 +148,7 @@ def test_the_oracle_flies_to_what_is_truly_safe(small_scenario):
         sensors={"fix": {"position_bias_m": 12.0}},
         mappers={"dem": {"size_m": 80.0}},
     )
-    for seed in (1, 2, 3):
+    for seed in (1, 2):
         simulation = Simulation(scenario, seed, "truth-oracle")
         flight = simulation.run()
         assert np.linalg.norm(simulation.navigation_error[:2]) > 3.0
