@@ -133,26 +133,26 @@ def test_rows_that_do_not_follow_from_each_other_are_refused(tmp_path, whole_sub
 def test_real_flights_are_drawn_flown_and_flown_again(tmp_path):
     """Tiny flights by the margin of their touchdowns; replay finds what they were drawn from."""
     subset = {"metric": "touchdown_margin", "below": 0.0, "levels": 3, "keep": 0.5}
-    made = spec(10, subset=subset)
+    made = spec(20, subset=subset)
     folder = tmp_path / "c"
     progress = []
 
     def stop(count: int) -> None:
         progress.append(count)
-        if len(progress) == 11:
+        if len(progress) == 21:
             raise KeyboardInterrupt
 
     plan = build_plan(made, folder)
     run(plan, InlineEngine(), folder, files=lambda at: write_files(made, at), progress=stop)
     found = load_results(folder)
     table = found.table.to_pandas()
-    assert len(table) == 11 and table["touchdown_margin"].notna().all()
+    assert len(table) == 21 and table["touchdown_margin"].notna().all()
     assert ((table["touchdown_margin"] < 0.0) == ~table["safe"]).all()
     later = table[table["level"] == 1]
     again = replay(folder, later["id"].iloc[-1])
     assert again.differences == []
     with pytest.raises(InputError, match="must not depend on flights") as refused:
-        replay(folder, "17-0")
+        replay(folder, "35-0")
     assert refused.value.field == "--flight"
     (share,) = estimate_failure_shares(found)
     assert np.isnan(share.value) == (load_chains(found).stop is None)
