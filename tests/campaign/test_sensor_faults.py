@@ -36,7 +36,9 @@ def flown(folder, engine):
 
 
 @pytest.mark.parametrize(
-    "engine", [InlineEngine(), pytest.param(LocalEngine(2), marks=pytest.mark.slow)], ids=["inline", "local"]
+    "engine",
+    [InlineEngine(), pytest.param(LocalEngine(2), marks=pytest.mark.slow)],
+    ids=["inline", "local"],
 )
 def test_a_campaign_disperses_faults_with_the_same_bits_again(tmp_path, engine):
     one, other = flown(tmp_path / "a", InlineEngine()), flown(tmp_path / "b", engine)

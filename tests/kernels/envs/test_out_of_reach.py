@@ -46,7 +46,7 @@ def inside(low, high, rng, count=24):
     return np.vstack((corners, 0.5 * (low + high), rng.uniform(low, high, (count, 3))))
 
 
-@sample_sizes(1_500, 12_000)
+@sample_sizes(3_000, 12_000)
 def test_what_is_proven_is_so_and_most_is_proven(law, count):
     """Far and near, flat and tall boxes; steep and shallow cones; rising and falling landers."""
     rng, lost, claimed = np.random.default_rng(0), 0, 0

@@ -25,7 +25,7 @@ def samples(seed: int, n: int = 120):
     return points, rng.uniform(0.01, 0.1, n)
 
 
-@settings(max_examples=10)
+@settings(max_examples=5)
 @given(st.integers(0, 1000), st.sampled_from([0.0, -700.0, 4000.0]))
 def test_sums_are_those_of_a_plain_loop(seed, level):
     scans = []
