@@ -233,9 +233,8 @@ def test_frames_show_the_map_north_up_and_east_right(env):
 
 
 def test_a_film_goes_down_to_the_terrain(small_scenario, tmp_path):
-    env = gymnasium.make(
-        ID, perception="onboard", scenario=small_scenario, render_mode="rgb_array_list"
-    )
+    scenario = small_scenario.changed(simulation={"cycle_s": 0.1})
+    env = gymnasium.make(ID, perception="onboard", scenario=scenario, render_mode="rgb_array_list")
     env.reset(seed=1)
     (first,) = env.render()
     assert env.render() == []
