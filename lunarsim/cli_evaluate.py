@@ -53,6 +53,11 @@ from lunarsim.errors import InputError, check_folder
     "quadtree or fused.",
 )  # fmt: skip
 @click.option(
+    "--dispersions", type=PATH, default=None, show_default="no random values",
+    help="Campaign file whose table [dispersions] gives random values of each episode, for example "
+    "faults of sensors. For Retarget-v1 with perception onboard.",
+)  # fmt: skip
+@click.option(
     "--observation", "parts", multiple=True, metavar="PART",
     show_default="observation of the environment",
     help="Component of the observation, for example hazard_map in Retarget-v1. Repeat the option "
@@ -96,7 +101,8 @@ from lunarsim.errors import InputError, check_folder
 )  # fmt: skip
 def evaluate(
     env: str, agents: tuple[str, ...], trust_pickle: bool, scenario: Path | None,
-    values: tuple[str, ...], perception: str | None, parts: tuple[str, ...],
+    values: tuple[str, ...], perception: str | None, dispersions: Path | None,
+    parts: tuple[str, ...],
     decided: tuple[str, ...], split: str | None, worlds: int | None, world_seed: int | None,
     episodes: int, seed: int, jobs: int, within: float, out: Path | None,
 ) -> None:  # fmt: skip
@@ -141,6 +147,7 @@ def evaluate(
         check_folder(out)
     pool = {"perception": perception, "split": split, "worlds": worlds, "world_seed": world_seed}
     given: dict[str, Any] = {name: value for name, value in pool.items() if value is not None}
+    given |= {} if dispersions is None else {"dispersions": str(dispersions)}
     given |= {"observation": list(parts)} if parts else {}
     given |= {"action": list(decided)} if decided else {}
     allow_named_modules(*values)

@@ -27,7 +27,15 @@ import lunarsim_envs
 from lunarsim.cli import main as lunarsim_command
 from lunarsim.scenario.reference import reference_text
 from lunarsim.sensors.catalogue import catalogue_lines
-from lunarsim.simulation.columns import SAMPLE_FIELDS, SCHEMA_VERSION, TABLES, Table
+from lunarsim.simulation.columns import (
+    IMAGES,
+    MAX_IMAGES,
+    MAX_READINGS_BYTES,
+    SAMPLE_FIELDS,
+    SCHEMA_VERSION,
+    TABLES,
+    Table,
+)
 from lunarsim_envs.agents.registry import agent_of
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "reference"
@@ -100,15 +108,30 @@ READINGS = """
 ## readings.NAME
 
 Measurements of the sensor `NAME`, float64. They are recorded if the scenario has
-`[record] measurements = true`, and for custom sensors with `is_recorded` always. Camera images are
-not recorded. Columns are the fields of the measurement ([API](api.md)); a vector or matrix has one
-column per element (`speed_0`, `speed_1`; row by row). `time` is that of the measurement, s. A
-measurement has one row, with these exceptions, which have a column `sample`:
+`[record] measurements = true`, and for custom sensors with `is_recorded` always. Columns are the
+fields of the measurement ([API](api.md)); a vector or matrix has one column per element
+(`speed_0`, `speed_1`; row by row). `time` is that of the measurement, s. A measurement has one row,
+with these exceptions, which have a column `sample`:
 
 | measurement | one row per element of | sample |
 | --- | --- | --- |
 """
+IMAGE_FILES = f"""
+Images are recorded if the scenario has `[record] images = true`, and for custom cameras with
+`is_recorded` always. The column `file` (text) has the path of each image in the folder of the
+flight: `images/NAME/000000.png` and so on, grey PNG files without loss, with 8 bits for detectors
+of up to 8 bits and otherwise 16 bits. Pixel values are the counts of the detector, without scaling.
+`Flight.images["NAME"][i]` returns them as an array (height, width), and
+`Flight.images["NAME"].columns` the other columns. `time` is the one that the camera reports. The
+pose is the true one at this time. With a fault of kind `latency` or `frozen`, the image is older.
 
+Images of W x H pixels at a rate R (Hz) over T seconds have W H R T bytes with 8 bits, and twice as
+many with 16 bits; as PNG, images with noise have 35 to 70 % of this size. For example, 60 s of
+640 x 480 pixels with 8 bits at 2 Hz have 37 MB before compression. A record keeps at most
+{MAX_IMAGES:,} images of a camera and {MAX_READINGS_BYTES / 2**30:g} GiB before compression. Later
+images are omitted, and the event `recording-full` names the camera. The
+schema version stays at 2, because readers of this version find all earlier files unchanged.
+"""
 
 _RATES = {
     "Control-v1": "50",
@@ -157,12 +180,19 @@ def record_page() -> str:
     """Return the page of the flight record: its files, and the columns of each table."""
     files = [f"| `{t.name}.parquet` | `{t.name}` | {t.rows} |\n" for t in TABLES]
     readings = "| `readings.NAME.parquet` | `readings[NAME]` | measurements of a sensor |\n"
+    images = (
+        "| `images.NAME.parquet` | `images[NAME].columns` | time, pose and geometry of a camera's "
+        "images |\n| `images/NAME/000000.png` | `images[NAME][0]` | image of a camera |\n"
+    )
     samples = [
         f"| `{kind.__name__}` | {', '.join(f'`{name}`' for name in names)} | its index, from 0 |\n"
         for kind, names in SAMPLE_FIELDS.items()
     ]
     sections = [_table_section(table) for table in TABLES]
-    return "".join([RECORD, *files, readings, MAPS, *sections, READINGS, *samples])
+    return "".join([
+        RECORD, *files, readings, images, MAPS, *sections, READINGS, *samples,
+        _table_section(IMAGES), IMAGE_FILES,
+    ])  # fmt: skip
 
 
 def _table_section(table: Table) -> str:

@@ -9,7 +9,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from scripts.licences_page import licence
+from scripts.licences_page import HEAD, licence
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -57,6 +57,11 @@ def test_the_page_of_licences_names_a_licence_of_all_that_is_locked(locked):
     for name, pins in locked.items():
         if any(one.marker is None or one.marker.evaluate(here) for one in pins):
             assert licences.get(name, "not stated") != "not stated", name
+
+
+def test_the_page_of_licences_begins_as_its_script_prints_it():
+    page = (ROOT / "docs" / "about" / "licences.md").read_text(encoding="utf-8")
+    assert page.startswith(HEAD.format(python="3.11"))
 
 
 def test_stated_licences_are_read():

@@ -16,6 +16,11 @@ from lunarsim.scenario.changes import with_values
 from lunarsim.scenario.shipped import found
 
 Weights = TypeVar("Weights")
+# Remedy for faults of sensors and actuators in an environment with kernels.
+FAULTS_REMEDY = (
+    "Use Retarget-v1 with perception='onboard' (gymnasium.make). Guidance-v1 and Control-v1 have "
+    "[domain_randomization]."
+)
 
 
 def scenario_argument(source: Any, changes: Any, default: Scenario) -> Scenario:
@@ -136,3 +141,12 @@ def check_no_render_mode(render_mode: Any) -> None:
         raise InputError(
             "render_mode", render_mode, "must be None for vector environments, which do not render"
         )
+
+
+def check_no_dispersions(dispersions: Any) -> None:
+    """Raise an `InputError` if an environment with kernels gets the argument."""
+    if dispersions is not None:
+        raise InputError(
+            "dispersions", dispersions, "must be None, because kernels simulate no faults of parts",
+            FAULTS_REMEDY, show_value=False,
+        )  # fmt: skip

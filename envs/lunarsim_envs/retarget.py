@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -150,7 +149,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
 
     ## Info
 
-    - At every step and at `reset`: ``time``, s since the start, and ``action_mask``.
+    - At every step and at `reset`: ``time``, s since the start, ``action_mask``, and with
+      ``dispersions`` the drawn values by scenario key.
     - At every step: ``reward_terms``, ``cost``, and ``time_scale_refused`` if the action has a
       ``time_scale``.
     - At the end of an episode: ``safe``, ``failure_causes``, ``propellant_kg`` used since the start
@@ -210,6 +210,9 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
       ``"shadows"``, ``"quadtree"``, ``"fused"``: an onboard mapper of this kind, which is added to
       the scenario if needed (`lunarsim_envs.sites.perception_scenarios.with_perception`).
     - ``surrogate``: file of a custom surrogate from ``scenarios/learning/fit_surrogate.py``.
+    - ``dispersions``: random scenario values of each episode, for instance faults of sensors and
+      actuators: distributions by key as in the table [dispersions] of a campaign, or the path of a
+      campaign file. Only for the full simulation.
     - ``observation``, ``action``: names of the components. Default action: ``["site"]``.
     - ``worlds``, ``world_seed``: with kernels, number of worlds in the pool and their root seed
       (defaults: 4 and 0). Each takes about a second to build; train with more. The cache of
@@ -258,6 +261,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         split: str = "train",
         covers: Sequence[float] = (),
         surrogate: Any = None,
+        dispersions: Mapping[str, Any] | str | Path | None = None,
         views: bool = False,
     ) -> None:
         if not isinstance(perception, str) or perception not in PERCEPTIONS:
@@ -284,11 +288,10 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         self.weights = checked_weights(weights, RewardWeights) or RewardWeights.of(self.scenario)
         tank = self.scenario.vehicle.make().propellant_mass
         self.rewards = SiteRewards(self.weights, tank, 1)
-        self.render_mode = render_mode
-        self.perception = perception
+        self.render_mode, self.perception = render_mode, perception
         self.actions = SiteActions(action)
-        pool = worlds, world_seed, surrogate, covers, split
-        self.flight = create_flight(perception, self.scenario, *pool)
+        more = worlds, world_seed, surrogate, covers, split, dispersions
+        self.flight = create_flight(perception, self.scenario, *more)
         self.shown = SiteObservationLayout(observation)
         self.action_space = self.actions.space
         self.observation_space = self.shown.space
@@ -470,13 +473,12 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         flight = self.flight
         mask = self.actions.masks(flight.inputs)[0].astype(np.int8)
         info: dict[str, Any] = {"time": flight.time, "action_mask": mask}
+        if flight.drawn:
+            info["dispersions"] = dict(flight.drawn)
         outcome = flight.outcome
         if outcome is not None:
             info["safe"], info["failure_causes"] = outcome
-            info["propellant_kg"] = self._wet_mass - flight.mass
+            lander = self.simulation.lander if self.simulation else self.scenario.true_lander()
+            info["propellant_kg"] = lander.wet_mass - flight.mass
             info["score"] = float(self.rewards.score[0])
         return info
-
-    @cached_property
-    def _wet_mass(self) -> float:
-        return self.scenario.true_lander().wet_mass

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from lunarsim.scenario import Scenario
 from lunarsim.typing import Array, BoolArray
 from lunarsim_envs.arguments import (
+    check_no_dispersions,
     check_no_render_mode,
     checked_int,
     checked_options,
@@ -59,10 +60,12 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         split: str = "train",
         covers: Sequence[float] = (),
         surrogate: Any = None,
+        dispersions: None = None,
         render_mode: None = None,
         max_episode_steps: int | None = None,
     ) -> None:
         check_no_render_mode(render_mode)
+        check_no_dispersions(dispersions)
         num_envs, worlds = checked_int("num_envs", num_envs, 1), checked_int("worlds", worlds, 1)
         world_seed = checked_int("world_seed", world_seed, 0)
         self.scenario = retarget_scenario(scenario, changes)

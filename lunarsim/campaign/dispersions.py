@@ -386,12 +386,17 @@ class Dispersions:
     def uniforms(self, flight: int) -> Array:
         """Return a uniform number in (0, 1) for each key (d,), before importance sampling."""
         if self.method in _STREAM_METHODS:
-            streams = RandomStreams(flight_seed(self.seed, flight))
-            drawn = [
-                streams.get(f"dispersions.{first_path(key)}").random() for key in self.distributions
-            ]
-            return _clip_to_open_interval(np.array(drawn))
+            return self._stream_uniforms(RandomStreams(flight_seed(self.seed, flight)))
         return _clip_to_open_interval(self._design[flight])
+
+    def draws_of(self, streams: RandomStreams) -> dict[str, Any]:
+        """Return the random scenario values by key from the random streams of one flight."""
+        return self.at(self._stream_uniforms(streams))
+
+    def _stream_uniforms(self, streams: RandomStreams) -> Array:
+        """Return a uniform number in (0, 1) for each key (d,) from a flight's streams."""
+        names = [f"dispersions.{first_path(key)}" for key in self.distributions]
+        return _clip_to_open_interval(np.array([streams.get(name).random() for name in names]))
 
     @cached_property
     def _design(self) -> Array:

@@ -133,8 +133,13 @@ def load_requirements(path: Path) -> list[Requirement]:
                 f"requirements[{n}].at_least", one.at_least, "must be omitted beside at_most",
                 "Write two requirements.",
             )  # fmt: skip
-        if not one.name or one.name in [other.name for other in out[:n]]:
+        name = one.name.strip()
+        if not name or name in [other.name.strip() for other in out[:n]]:
             raise InputError(f"requirements[{n}].name", one.name, "must be a name used only once")
+        if not one.name.isprintable():
+            raise InputError(
+                f"requirements[{n}].name", ascii(one.name), "must have only printable characters"
+            )
     return out
 
 

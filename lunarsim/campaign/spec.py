@@ -23,8 +23,7 @@ width = 0.1
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -32,12 +31,12 @@ from typing import Any
 
 import tomli_w
 
+from lunarsim.campaign.dispersion_checks import check_dispersions, check_no_overlap
 from lunarsim.campaign.dispersions import EXTENSIBLE_METHODS, Dispersions, build_dispersions
 from lunarsim.campaign.distributions import KINDS, Choice, build_settings
 from lunarsim.campaign.factors import (
     Arm,
     build_arms,
-    check_plain,
     flatten_keys,
     parse_arms,
     product,
@@ -48,7 +47,7 @@ from lunarsim.errors import InputError, suggestion
 from lunarsim.evaluation.flight_metrics import COLUMNS
 from lunarsim.parts import module_permission, quantity, settings_of
 from lunarsim.scenario import Scenario, shipped
-from lunarsim.scenario.changes import path_of, with_values
+from lunarsim.scenario.changes import with_values
 from lunarsim.scenario.files import read_toml
 from lunarsim.scenario.layout import SELECTED
 
@@ -263,34 +262,12 @@ class CampaignSpec:
         InputError
             If an arm sets a key that is also random, or the scenario refuses a random value.
         """
-        laws = self.dispersions.distributions
-        for key, law in laws.items():
-            for value in law.values if isinstance(law, Choice) else ():
-                check_plain(f"dispersions.{key}.values", value)
-        texts: dict[str, list[Any]] = {
-            key: list(law.values) for key, law in laws.items() if isinstance(law, Choice)
-        }
-        _check_no_overlap(laws, texts, "dispersions")
         for arm in self.arms:
-            _check_no_overlap(arm.values, {k: [v] for k, v in arm.values.items()}, "arms")
+            check_no_overlap(arm.values, {k: [v] for k, v in arm.values.items()}, "arms")
         set_by_arms = {key: value for arm in self.arms for key, value in arm.values.items()}
-        for name in laws:
-            for key, value in set_by_arms.items():
-                if _overlap(_key_path(name, texts.get(name, [0.0])), _key_path(key, [value])):
-                    raise InputError(
-                        f"dispersions.{name}",
-                        name,
-                        f"must be omitted, because the arms set {key}",
-                        show_value=False,
-                    )
-        drawn = [
-            self.dispersions.draws(i) for i in range(min(self.head.flights, _MAX_CHECKED_DRAWS))
-        ]
-        for key in laws:
-            values = [one[key] for one in drawn]
-            for value in _extremes(values):
-                for arm in self.arms:
-                    with_values(arm.scenario, drawn[values.index(value)], "dispersions")
+        check_dispersions(
+            self.dispersions, [arm.scenario for arm in self.arms], set_by_arms, self.head.flights
+        )
 
     @cached_property
     def identity(self) -> dict[str, Any]:
@@ -451,40 +428,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {k: _plain(v) for k, v in value.items()}
     return [_plain(v) for v in value] if isinstance(value, list | tuple) else value
-
-
-def _key_path(key: str, values: Sequence[Any]) -> tuple[str, ...]:
-    """Split a dotted scenario key into the names of its tables and of the value.
-
-    A component's table, for instance ``policy``, with string values means its `kind`.
-    """
-    texts = all(isinstance(value, str) for value in values)
-    return path_of(key, "" if texts else values)
-
-
-def _overlap(a: tuple[str, ...], b: tuple[str, ...]) -> bool:
-    shorter, longer = sorted((a, b), key=len)
-    return longer[: len(shorter)] == shorter
-
-
-def _check_no_overlap(keys: Iterable[str], values: Mapping[str, Sequence[Any]], field: str) -> None:
-    """Raise `InputError` if one scenario key contains another, for instance its table.
-
-    The result would depend on the order in which the two keys are set. `values` has the values of
-    the keys, and `field` is the field name for errors.
-    """
-    for a, b in itertools.combinations(keys, 2):
-        if _overlap(_key_path(a, values.get(a, [0.0])), _key_path(b, values.get(b, [0.0]))):
-            raise InputError(
-                f"{field}.{b}", b, f"must not be set together with {a}", show_value=False
-            )
-
-
-def _extremes(values: list[Any]) -> list[Any]:
-    """Return minimum and maximum of a list of numbers.
-
-    If some values are not numbers, return all distinct values.
-    """
-    if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
-        return [min(values), max(values)]
-    return [v for i, v in enumerate(values) if v not in values[:i]]

@@ -245,11 +245,14 @@ class CameraImage:
         Pixel values of the detector (height, width): uint8 up to 8 bits, else uint16.
     camera
         Camera geometry; its mount is measured by the gimbal's encoders.
+    exposure
+        Exposure time, s; NaN if the camera does not report it.
     """
 
     time: float
     counts: NDArray[np.unsignedinteger[Any]]
     camera: CameraModel
+    exposure: float = float("nan")
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -29,6 +30,8 @@ ACCELEROMETER_UNITS: dict[str, dict[str, float]] = _COMMON_UNITS | {
     "bias_instability": _ACCELERATIONS,
     "random_walk": {"m/s/sqrt(h)": 1.0 / math.sqrt(_HOUR), "ug/sqrt(Hz)": 1e-6 * _G},
 }
+# Decimal number in a text with a unit.
+_DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 # Maximum Allan deviation of a first-order Gauss-Markov process over its standard deviation, at an
 # averaging time of 1.89 correlation times (IEEE Std 952, annex B.4.5).
 _GAUSS_MARKOV_ALLAN_MAXIMUM = 0.617
@@ -55,14 +58,14 @@ def _number(key: str, value: Any, units: Mapping[str, float]) -> Any:
     if not isinstance(value, str):
         return value
     number, _, unit = value.strip().partition(" ")
-    try:
-        return float(number) * units[unit.strip()]
-    except (ValueError, KeyError):
+    # `float` also accepts underscores, digits of other scripts, and names such as "nan".
+    if not _DECIMAL.fullmatch(number) or unit.strip() not in units:
         example = " or ".join(f"'0.5 {one}'" for one in units)
         remedy = f"Texts for this key: {example}." if units else ""
         raise InputError(
             key, value, "must be a number in SI units, or a text with a number and its unit", remedy
-        ) from None
+        )
+    return float(number) * units[unit.strip()]
 
 
 @dataclass(frozen=True)

@@ -137,11 +137,14 @@ class RecordSettings:
     ----------
     measurements
         Whether all measurements except camera images are recorded.
+    images
+        Whether the images of all cameras are recorded.
     """
 
     measurements: bool = quantity(
         False, help="whether the flight record keeps all measurements except camera images"
     )
+    images: bool = quantity(False, help="whether the flight record keeps the images of all cameras")
 
 
 @dataclass(frozen=True)

@@ -141,6 +141,7 @@ def _sensor_warnings(scenario: Scenario) -> Iterator[str]:
     camera if no mapper uses its images.
     """
     mapped = {name for part in scenario.mappers.values() for name in sensor_names(part.make())}
+    keeps_images = scenario.record is not None and scenario.record.make().images
     for name, settings in scenario.sensors.items():
         sensor = settings.make()
         looks = (
@@ -157,10 +158,11 @@ def _sensor_warnings(scenario: Scenario) -> Iterator[str]:
                     f"[tasking.{name}] measures above {lowest:g} m only, got {reach:g}. Raise "
                     "max_range_m or lower the altitudes."
                 )
-        if issubclass(sensor.measurement_type, CameraImage) and name not in mapped:
+        is_camera = issubclass(sensor.measurement_type, CameraImage)
+        if is_camera and name not in mapped and not keeps_images:
             yield (
                 f"sensors.{name}: no mapper uses its images, got {settings.kind!r}. The flight "
-                "record contains their times only."
+                "record contains their times only; it keeps the images if record.images = true."
             )
 
 
@@ -204,6 +206,13 @@ def _unused_key_warnings(scenario: Scenario) -> Iterator[str]:
     if scenario.policy.kind == "no-divert":
         yield from _unused_keys(
             "decisions", scenario.decisions, "policy 'no-divert' never diverts", ignored=("map",)
+        )
+    sensors = [part.make() for part in scenario.sensors.values()]
+    if scenario.record is not None and not any(
+        issubclass(sensor.measurement_type, CameraImage) for sensor in sensors
+    ):
+        yield from _unused_keys(
+            "record", scenario.record, "no sensor is a camera", only=("images",)
         )
     if not scenario.mappers:
         yield from _unused_keys("expected_rocks", scenario.expected_rocks, "there is no mapper")

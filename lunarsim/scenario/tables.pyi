@@ -255,6 +255,7 @@ class FaultsTable(PartSettings):
     jets_stuck_from_s: float
     jets_stuck_open: tuple[int, ...]
     jets_stuck_shut: tuple[int, ...]
+    occurs: bool
 
 class FaultsChanges(TypedDict, total=False):
     engine_loss: float
@@ -264,6 +265,7 @@ class FaultsChanges(TypedDict, total=False):
     jets_stuck_from_s: float
     jets_stuck_open: tuple[int, ...]
     jets_stuck_shut: tuple[int, ...]
+    occurs: bool
 
 class LegsTable(PartSettings):
     crush_force_n: float
@@ -352,9 +354,11 @@ class WindowChanges(TypedDict, total=False):
     upper_edge_deg: float
 
 class RecordTable(PartSettings):
+    images: bool
     measurements: bool
 
 class RecordChanges(TypedDict, total=False):
+    images: bool
     measurements: bool
 
 class SiteRewardTable(PartSettings):
@@ -792,6 +796,7 @@ class SensorFaultsTable(SelectedPart):
     end_s: float | None
     gate_max_m: float
     gate_min_m: float
+    occurs: bool
     rate: float
     sensor: str
     sigma: float
@@ -806,6 +811,7 @@ class SensorFaultsChanges(TypedDict, total=False):
     end_s: float | None
     gate_max_m: float
     gate_min_m: float
+    occurs: bool
     rate: float
     sensor: str
     sigma: float

@@ -167,7 +167,7 @@ class Camera(CameraModel):
         """
         camera = self if mount is None else replace(self, mount=mount)
         exposure = camera.expose(world, state, time, rng)
-        return CameraImage(exposure.time, exposure.counts, camera.model)
+        return CameraImage(exposure.time, exposure.counts, camera.model, camera.exposure)
 
     def expose(
         self,

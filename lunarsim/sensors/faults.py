@@ -50,7 +50,7 @@ def channels_of(measurement_type: type) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class SensorFault:
-    """Settings that all sensor faults have: the sensor, start and end.
+    """Settings that all sensor faults have: the sensor, start, end and occurrence.
 
     Attributes
     ----------
@@ -58,12 +58,17 @@ class SensorFault:
         Name of the faulty sensor.
     start, end
         Times in the flight between which the fault acts, s; the end is exclusive, None: never.
+    occurs
+        Whether the fault occurs; false is a flight without it.
     """
 
     sensor: str = quantity("", help="name of the faulty sensor")
     start: float = quantity(0.0, "s", ge=0, help="time in the flight at which the fault begins")
     end: float | None = quantity(
         None, "s", ge=0, help="time in the flight at which the fault ends; omitted: never"
+    )
+    occurs: bool = quantity(
+        True, help="whether the fault occurs; campaigns and environments can draw it per flight"
     )
 
     # Whether the sensor's measurements are lost.
@@ -79,7 +84,8 @@ class SensorFault:
 
     def is_active(self, time: float) -> bool:
         """Return whether the fault acts at a time, s."""
-        return self.start <= time + 1e-9 and (self.end is None or time + 1e-9 < self.end)
+        is_before_end = self.end is None or time + 1e-9 < self.end
+        return self.occurs and self.start <= time + 1e-9 and is_before_end
 
     @classmethod
     def applies_to(cls, measurement_type: type) -> bool:

@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lunarsim.frames import matrix_to_quat
 from lunarsim.messages.commands import Command
-from lunarsim.messages.measurements import InertialSamples, LidarScan
+from lunarsim.messages.measurements import CameraImage, InertialSamples, LidarScan
+from lunarsim.models.pinhole import View
 from lunarsim.onboard.computer import OnboardComputer
 from lunarsim.typing import Array
 from lunarsim.vehicle.state import State
@@ -23,7 +25,11 @@ from lunarsim.vehicle.state import State
 # the tables trajectory, scans, candidates and readings.
 SCHEMA_VERSION = 2
 # Maximum size of the readings of a sensor, bytes: 200 scans of 256 x 256 pixels have 1.9 GB.
+# Images count with the size of their pixels: 2048 images of 1024 x 1024 pixels with 8 bits.
 MAX_READINGS_BYTES = 2**31
+# Maximum number of recorded images of a camera: `flight.json` has the digest of each file, 100
+# bytes, and is not read above 8 MiB.
+MAX_IMAGES = 10_000
 # Frames of the columns, as in `lunarsim.frames`.
 TRUE_FRAME, LOCAL_FRAME, SITE_FRAME, BODY_FRAME = (
     "true ENU: origin at the centre of the terrain, at its mean elevation",
@@ -57,6 +63,16 @@ class CommandCycle(NamedTuple):
     command: Command
     computer: OnboardComputer
     torque: Array
+
+
+class ImageSource(NamedTuple):
+    """What one image provides for a row of the table of images.
+
+    `view` is the view of the camera at the true pose of the lander.
+    """
+
+    image: CameraImage
+    view: View
 
 
 class ColumnGroup(NamedTuple):
@@ -286,6 +302,38 @@ CANDIDATES = Table(
     ),
     np.float32,
 )
+IMAGES = Table(
+    "images.NAME",
+    "one row per image of the camera `NAME`",
+    (
+        ColumnGroup(("time",), "s", "middle of the exposure", "", lambda s: s.image.time),
+        ColumnGroup(
+            _axes("position"), "m", "true position of the camera", TRUE_FRAME,
+            lambda s: s.view.position,
+        ),
+        ColumnGroup(
+            _axes("attitude", "xyzw"), "1", "true attitude of the camera: quaternion, camera to "
+            "ENU, scalar last; camera x is right in the image, y down, z along the boresight",
+            TRUE_FRAME, lambda s: matrix_to_quat(s.view.axes),
+        ),
+        ColumnGroup(
+            ("exposure",), "s", "exposure time; NaN if the camera does not report it", "",
+            lambda s: s.image.exposure,
+        ),
+        ColumnGroup(
+            ("width", "height"), "px", "size of the image", "",
+            lambda s: (s.image.camera.width, s.image.camera.height),
+        ),
+        ColumnGroup(
+            ("fx", "fy", "cx", "cy"), "px", "focal lengths, and principal point from the centre "
+            "of the first pixel", "", lambda s: s.image.camera.pinhole,
+        ),
+        ColumnGroup(
+            ("k1", "k2", "p1", "p2", "k3"), "1", "Brown-Conrady coefficients of the lens "
+            "distortion, as in OpenCV", "", lambda s: s.image.camera.distortion,
+        ),
+    ),
+)  # fmt: skip
 # Tables of a flight as columns by name. A record of version 1 has only the trajectory.
 COLUMN_TABLES = (TRAJECTORY, NAVIGATION, COMMANDS, ACTUATORS)
 TABLES = (*COLUMN_TABLES, SCANS, CANDIDATES)

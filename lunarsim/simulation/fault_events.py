@@ -14,14 +14,16 @@ def fault_events(scenario: Scenario, time: float) -> list[dict[str, Any]]:
     "throttle" or "engine" in `[faults]`.
     """
     found: list[tuple[float | None, str, dict[str, Any]]] = []
-    if scenario.faults is not None:
-        faults = scenario.faults.make()
+    faults = None if scenario.faults is None else scenario.faults.make()
+    if faults is not None and faults.occurs:
         if faults.jets_stuck_shut or faults.jets_stuck_open:
             found.append((faults.jets_stuck_from, "fault-started", {"fault": "thrusters"}))
         found.append((faults.engine_stuck_from, "fault-started", {"fault": "throttle"}))
         found.append((faults.engine_loss_from, "fault-started", {"fault": "engine"}))
     for name, part in scenario.sensor_faults.items():
         fault, details = part.make(), {"fault": name, "kind": part.kind, "sensor": part.sensor}
+        if not fault.occurs:
+            continue
         found += [(fault.start, "fault-started", details), (fault.end, "fault-ended", details)]
     return [
         {"time": when, "name": name, **details}

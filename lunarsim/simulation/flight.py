@@ -8,6 +8,8 @@ A flight is saved as a folder:
     True states; estimates with covariance; commands; thrusters and gimbal (pandas, polars, DuckDB).
 ``readings.NAME.parquet``
     Measurements of a sensor, if they are recorded.
+``images.NAME.parquet``, ``images/NAME/000000.png``
+    Time, pose and geometry of a camera's images, and the images, if they are recorded.
 ``maps/NAME.nc``
     The last hazard map of each mapper, NetCDF-4 with coordinates and units (xarray).
 ``maps/NAME.TABLE.parquet``
@@ -25,16 +27,16 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 import lunarsim
-from lunarsim.atomic_files import atomic_write, atomic_write_netcdf, atomic_write_text
+from lunarsim.atomic_files import atomic_write_netcdf, atomic_write_text
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.simulation.columns import (
@@ -47,7 +49,6 @@ from lunarsim.simulation.columns import (
     SCHEMA_VERSION,
     TRAJECTORY,
     TRUE_FRAME,
-    Table,
 )
 from lunarsim.simulation.flight_files import (
     digest_of,
@@ -58,6 +59,14 @@ from lunarsim.simulation.flight_files import (
     read_table,
     read_trajectory,
     reading,
+    save_columns,
+    save_table,
+)
+from lunarsim.simulation.image_record import (
+    ImageRecord,
+    load_images,
+    remove_images,
+    save_images,
 )
 from lunarsim.simulation.map_record import MapRecord, map_remarks_by_mapper
 from lunarsim.typing import Array
@@ -124,6 +133,9 @@ class Flight:
         sensor. Recorded are sensors with ``is_recorded`` and, if ``[record] measurements`` is
         true, all sensors except cameras. LiDAR scans and inertial samples have one row per pixel
         or sample.
+    images
+        Images of each recorded camera that took at least one, by sensor. Recorded are cameras with
+        ``is_recorded`` and, if ``[record] images`` is true, all cameras.
     """
 
     scenario: str
@@ -143,6 +155,7 @@ class Flight:
     scans: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 4), np.float32))
     candidates: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 5), np.float32))
     readings: dict[str, dict[str, Array]] = field(default_factory=dict)
+    images: dict[str, ImageRecord] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.scans = np.asarray(self.scans, dtype=np.float32)
@@ -278,17 +291,19 @@ class Flight:
         tables = [folder / f"{table.name}.parquet" for table in COLUMN_TABLES]
         for old in [*(folder / "maps").glob("*"), *folder.glob("readings.*.parquet"), *tables]:
             old.unlink(missing_ok=True)
+        remove_images(folder)
         for table in COLUMN_TABLES:
             if columns := getattr(self, table.name):
-                _save_columns(table, columns, folder)
+                save_columns(table, columns, folder)
         for table in (SCANS, CANDIDATES):
-            _save_columns(table, table.as_columns(getattr(self, table.name)), folder)
+            save_columns(table, table.as_columns(getattr(self, table.name)), folder)
         for name, columns in self.readings.items():
-            _save_table(pa.table(columns), folder / f"readings.{name}.parquet")
+            save_table(pa.table(columns), folder / f"readings.{name}.parquet")
+        image_files = [save_images(folder, name, images) for name, images in self.images.items()]
         for name, record in self.maps.items():
             _save_map(name, record, folder / "maps")
-        written = sorted(folder.glob("*.parquet")) + sorted((folder / "maps").glob("*"))
-        digests = {str(path.relative_to(folder)): digest_of(path) for path in written}
+        written = {*folder.glob("*.parquet"), *(folder / "maps").glob("*"), *chain(*image_files)}
+        digests = {str(path.relative_to(folder)): digest_of(path) for path in sorted(written)}
         text = json.dumps(self._record() | {"digests": digests}, indent=1)
         atomic_write_text(folder / "flight.json", text)
         return folder
@@ -311,6 +326,7 @@ class Flight:
             "decision_mapper": self.decision_mapper,
             "maps": list(self.maps),
             "readings": list(self.readings),
+            "images": list(self.images),
             "first_map": None if first is None else _plain(asdict(first) | {"covariance": None}),
             "lost": self.lost,
             "first_lost_s": self.first_lost_time,
@@ -362,6 +378,7 @@ class Flight:
                     )
                     for name in record.get("readings", [])
                 },
+                images={name: load_images(folder, name) for name in record.get("images", [])},
             )
 
 
@@ -398,19 +415,6 @@ def _estimate(record: dict[str, Any]) -> Estimate:
     )
 
 
-def _save_columns(table: Table, columns: dict[str, Array], folder: Path) -> None:
-    """Write columns (n,) of a declared table, with units and frames as metadata."""
-    found = table.columns(len(columns))
-    data = pa.table({name: np.asarray(columns[name], dtype=table.dtype) for name in found})
-    metadata = table.metadata(len(columns))
-    _save_table(data.replace_schema_metadata(metadata), folder / f"{table.name}.parquet")
-
-
-def _save_table(table: pa.Table, path: Path) -> None:
-    """Write a table to a Parquet file; a failure leaves no partial file."""
-    atomic_write(path, lambda part: pq.write_table(table, part))
-
-
 def _save_map(name: str, record: MapRecord, folder: Path) -> None:
     """Write the last map of a mapper as NetCDF, and its tables as Parquet files."""
     import xarray as xr  # noqa: PLC0415  (loads slowly)
@@ -440,7 +444,7 @@ def _save_map(name: str, record: MapRecord, folder: Path) -> None:
     packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
     atomic_write_netcdf(folder / f"{name}.nc", dataset, dict.fromkeys(layers, packed))
     for table, columns in record.tables.items():
-        _save_table(pa.table(columns), folder / f"{name}.{table}.parquet")
+        save_table(pa.table(columns), folder / f"{name}.{table}.parquet")
 
 
 def _load_map(name: str, folder: Path) -> MapRecord:

@@ -1,4 +1,4 @@
-"""Read a recorded flight's folder, which may be damaged or untrusted.
+"""Write tables of a recorded flight, and read its folder, which may be damaged.
 
 Every file is compared with its digest in ``flight.json``. Types, columns and shapes are checked
 before use, and sizes before anything is decompressed.
@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator, Sequence
+import struct
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,6 +20,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
+from lunarsim.atomic_files import atomic_write
 from lunarsim.core.touchdown import VALUES
 from lunarsim.errors import InputError, error_reason
 from lunarsim.grid import Grid
@@ -35,6 +37,9 @@ from lunarsim.untrusted_files import check_no_links, read_json
 
 # Maximum decompressed size of a table or layer, bytes. A flight of three hours has 25 MB.
 MAX_EXPANDED_BYTES = 2**28
+
+# Signature of a PNG file, and start of its first chunk.
+_PNG_START = b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR"
 
 _Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=100)]
 _Count = Annotated[int, Field(ge=0)]
@@ -116,6 +121,7 @@ class FlightRecord(_StrictRecord):
     decision_mapper: str
     maps: list[_Name]
     readings: list[_Name] = []
+    images: list[_Name] = []
     first_map: _Estimate | None
     digests: dict[str, str] = {}
 
@@ -340,6 +346,37 @@ def read_layers(
         return grid, layers, error
 
 
+def read_image(folder: Path, path: Path, size: tuple[float, float], max_bytes: int) -> bytes:
+    """Read a grey PNG file in the folder of a flight, without decoding it.
+
+    Parameters
+    ----------
+    folder, path
+        Folder of the flight; file in it.
+    size
+        Width and height that the image must have, pixels.
+    max_bytes
+        Maximum size of the file, bytes.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, too large, or not a grey PNG image of this size.
+    """
+    with reading(path):
+        if _inside(folder, path).stat().st_size > max_bytes:
+            raise _DefectError("the images of the camera are larger than a record can have")
+        data = path.read_bytes()
+        if len(data) < 33 or data[:16] != _PNG_START:
+            raise _DefectError("it is not a valid PNG file")
+        width, height, bits, channels = struct.unpack(">IIBB", data[16:26])
+        if (width, height) != size or bits not in (8, 16) or channels != 0:
+            raise _DefectError("the image has another size or type than its table states")
+        if width * height * bits // 8 > MAX_EXPANDED_BYTES:
+            raise _DefectError(f"larger than {MAX_EXPANDED_BYTES // 2**20} MiB when decompressed")
+        return data
+
+
 def _local_dataset(file: Any, name: str) -> Any:
     """Return a dataset of an open HDF5 file.
 
@@ -351,3 +388,20 @@ def _local_dataset(file: Any, name: str) -> Any:
     if not isinstance(link, h5py.HardLink) or dataset.external or dataset.is_virtual:
         raise _DefectError(f"its variable {name} is a link to other data, which is not read")
     return dataset
+
+
+def save_columns(table: Table, columns: Mapping[str, Array], folder: Path) -> None:
+    """Write columns (n,) of a declared table, with units and frames as metadata."""
+    save_table(arrow_table(table, columns), folder / f"{table.name}.parquet")
+
+
+def arrow_table(table: Table, columns: Mapping[str, Array]) -> pa.Table:
+    """Return columns (n,) of a table in Arrow, with units and frames as metadata."""
+    found = table.columns(len(columns))
+    data = pa.table({name: np.asarray(columns[name], dtype=table.dtype) for name in found})
+    return data.replace_schema_metadata(table.metadata(len(columns)))
+
+
+def save_table(table: pa.Table, path: Path) -> None:
+    """Write a table to a Parquet file; a failure leaves no partial file."""
+    atomic_write(path, lambda part: pq.write_table(table, part))

@@ -19,6 +19,7 @@ from lunarsim.onboard.policies.contract import Decision, Observation, Retargetin
 from lunarsim.parts import resolve, settings_of
 from lunarsim.rng import RandomStreams
 from lunarsim.scenario import Scenario
+from lunarsim.scenario.mission import RecordSettings
 from lunarsim.sensors.faults import SensorFault
 from lunarsim.simulation.columns import CommandCycle, Cycle
 from lunarsim.simulation.cycle import fly_cycle
@@ -60,6 +61,12 @@ def make_policy(scenario: Scenario, policy: RetargetingPolicy | str | None) -> A
     return made
 
 
+def _vehicle_faults(scenario: Scenario) -> Faults | None:
+    """Create the faults of thrusters, throttle and engine; None if there are none."""
+    made: Faults | None = None if scenario.faults is None else scenario.faults.make()
+    return made if made is not None and made.occurs else None
+
+
 def _actuators(scenario: Scenario, lander: Lander, step: float) -> Actuators | None:
     """Create thrusters, gimbal and throttle of a lander, with the scenario's faults.
 
@@ -67,27 +74,21 @@ def _actuators(scenario: Scenario, lander: Lander, step: float) -> Actuators | N
     """
     if not isinstance(lander, JetLander):
         return None
-    return Actuators(lander, step, None if scenario.faults is None else scenario.faults.make())
+    return Actuators(lander, step, _vehicle_faults(scenario))
 
 
-def _faults(scenario: Scenario, lander: Lander) -> Faults | None:
-    """Create the throttle faults of a lander without simulated thrusters, or None."""
-    if scenario.faults is None or isinstance(lander, JetLander):
-        return None
-    made: Faults = scenario.faults.make()
-    return made
-
-
-def _recorded_sensors(scenario: Scenario) -> list[str]:
-    """Return the names of the sensors whose readings the flight record keeps."""
-    keeps_all = scenario.record is not None and scenario.record.make().measurements
-    sensors = {name: part.make() for name, part in scenario.sensors.items()}
-    return [
-        name
-        for name, sensor in sensors.items()
-        if getattr(sensor, "is_recorded", False)
-        or (keeps_all and not issubclass(sensor.measurement_type, CameraImage))
-    ]
+def _recorded_sensors(scenario: Scenario) -> tuple[list[str], list[str]]:
+    """Return the names of the recorded sensors, and of the recorded cameras."""
+    settings = RecordSettings() if scenario.record is None else scenario.record.make()
+    readings: list[str] = []
+    cameras: list[str] = []
+    for name, part in scenario.sensors.items():
+        sensor = part.make()
+        is_camera = issubclass(sensor.measurement_type, CameraImage)
+        is_kept = settings.images if is_camera else settings.measurements
+        if is_kept or getattr(sensor, "is_recorded", False):
+            (cameras if is_camera else readings).append(name)
+    return readings, cameras
 
 
 def _sensor_faults(
@@ -173,13 +174,14 @@ class Simulation:
             max_time=clock.max_time,
             legs=None if scenario.legs is None else scenario.legs.make(),
             actuators=_actuators(scenario, lander, clock.step),
-            faults=_faults(scenario, lander),
+            # Actuators simulate the faults of a lander with thrusters.
+            faults=None if isinstance(lander, JetLander) else _vehicle_faults(scenario),
             sensor_faults=_sensor_faults(scenario, self.streams),
         )
         # A policy that uses the truth is queried here; any other runs on the computer.
         self._oracle = self.policy if getattr(self.policy, "knows_truth", False) else None
         self.computer = OnboardComputer(briefing, None if self._oracle else self.policy)
-        self.recorder = Recorder(briefing.target, _recorded_sensors(scenario))
+        self.recorder = Recorder(briefing.target, *_recorded_sensors(scenario))
         self._tap = tap
         if tap is not None:
             tap.briefing = briefing
@@ -292,7 +294,7 @@ class Simulation:
         self._measurements = measurements
         c = self.computer
         c.update(measurements)
-        self.recorder.record_measurements(measurements, c, self.navigation_error)
+        self.recorder.record_measurements(measurements, c, self.navigation_error, self.state)
         left = 0.0 if self.done else max(c.time_to_go, 0.0)
         self.recorder.add_cycle(Cycle(self.time, self.state, c, left))
 

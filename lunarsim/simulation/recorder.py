@@ -26,8 +26,10 @@ from lunarsim.simulation.columns import (
     Cycle,
 )
 from lunarsim.simulation.flight import Flight
+from lunarsim.simulation.image_record import ImageRecorder
 from lunarsim.simulation.map_record import MapRecord
 from lunarsim.typing import Array
+from lunarsim.vehicle.state import State
 from lunarsim.vehicle.touchdown import LandingOutcome
 
 # Maximum number of LiDAR returns kept per scan, enough for a figure.
@@ -67,10 +69,15 @@ class Recorder:
         Target of the mission (3,), m.
     recorded
         Names of the sensors whose readings are recorded.
+    cameras
+        Names of the cameras whose images are recorded.
     """
 
-    def __init__(self, target: Array, recorded: Sequence[str] = ()) -> None:
+    def __init__(
+        self, target: Array, recorded: Sequence[str] = (), cameras: Sequence[str] = ()
+    ) -> None:
         self._target = target
+        self._images = {name: ImageRecorder(name) for name in cameras}
         self._readings: dict[str, _Readings] = {name: _Readings(name) for name in recorded}
         self._rows: list[Array] = []
         self._estimates: list[Array] = []
@@ -97,16 +104,21 @@ class Recorder:
         return TRAJECTORY.as_columns(self._rows)
 
     def record_measurements(
-        self, measurements: Measurements, computer: OnboardComputer, error: Array
+        self, measurements: Measurements, computer: OnboardComputer, error: Array, state: State
     ) -> None:
         """Record scans, images, readings and map updates of one control cycle.
 
-        `error` (3,) is local minus true coordinates of updated maps, m.
+        `error` (3,) is local minus true coordinates of updated maps, m; `state` is the true state.
         """
         for sensor, measurement in measurements.items:
             if isinstance(measurement, LidarScan | CameraImage):
                 self._record_sensor(sensor, measurement, computer)
-            if sensor in self._readings and not self._readings[sensor].add(measurement):
+            fits = True
+            if sensor in self._images:
+                fits = self._images[sensor].add(measurement, state)
+            elif sensor in self._readings:
+                fits = self._readings[sensor].add(measurement)
+            if not fits:
                 self._sensor_events.append(
                     {"time": computer.time, "name": "recording-full", "sensor": sensor}
                 )
@@ -207,6 +219,7 @@ class Recorder:
                 for name, readings in self._readings.items()
                 if readings.blocks
             },
+            images={name: images.record() for name, images in self._images.items() if len(images)},
         )
 
 

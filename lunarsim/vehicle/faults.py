@@ -30,6 +30,8 @@ class Faults:
         the start.
     engine_loss_from, engine_loss
         Time from which a fraction of the thrust is lost, s; None: never. The fraction.
+    occurs
+        Whether the faults occur; false is a flight without them.
     """
 
     jets_stuck_shut: tuple[int, ...] = quantity(
@@ -64,6 +66,10 @@ class Faults:
     )
     engine_loss: float = quantity(
         0.5, gt=0, le=1, help="fraction of the thrust lost from engine_loss_from_s; 0.5: one of two"
+    )
+
+    occurs: bool = quantity(
+        True, help="whether the faults occur; campaigns and environments can draw it per flight"
     )
 
     def __post_init__(self) -> None:

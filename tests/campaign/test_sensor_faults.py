@@ -24,6 +24,7 @@ SPEC = {
     "dispersions": {
         "sensor_faults.high.size": {"kind": "uniform", "low": -4.0, "high": 4.0},
         "sensor_faults.high.start_s": {"kind": "uniform", "low": 1.0, "high": 5.0},
+        "sensor_faults.high.occurs": {"kind": "choice", "values": [True, False]},
     },
 }  # fmt: skip
 KEYS = ("sensor_faults.high.size", "sensor_faults.high.start_s")
@@ -45,6 +46,8 @@ def test_a_campaign_disperses_faults_with_the_same_bits_again(tmp_path, engine):
     for key in KEYS:
         drawn = next(values for name, values in one.items() if name.endswith(key))
         assert len(set(drawn)) == 3
+    occurs = next(v for name, v in one.items() if name.endswith("sensor_faults.high.occurs"))
+    assert set(occurs) == {True, False}
     assert one["propellant_kg"] == other["propellant_kg"]
     assert len(set(one["propellant_kg"])) == 3
 

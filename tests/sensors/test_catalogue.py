@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import pytest
 from click.testing import CliRunner
@@ -41,7 +42,8 @@ def test_each_unit_flies_and_each_value_has_a_source(name):
                    if t["kind"] == unit.kind)  # fmt: skip
         part = scenario(**{own: {"unit": name}}).sensors[own]
     assert (part.kind, part.unit) == (unit.kind, name)
-    assert unit.source
+    assert re.search(r"https?://[^\s/]+\.[a-z]+/\S", unit.source)
+    assert "\n" not in unit.source
     assert all(source for _, source in unit.values.values())
     if unit.kind == "imu":  # omitted keys would be those of the default unit
         keys = set(settings_of(TriadErrors).model_fields) - {"correlation_time_s"}
@@ -87,6 +89,14 @@ def test_inertial_units_have_the_values_of_their_datasheets(unit, triad, bias, r
     assert errors.random_walk == pytest.approx(random_walk, rel=1e-3)  # 0.065 ft/s is rounded
 
 
+def test_the_camera_has_the_noise_of_its_detector():
+    """From the datasheet of the MT9P031: maximum SNR 38.1 dB, dynamic range 70.1 dB."""
+    values = {key: value for key, (value, _) in sensor_units()["TAGCAMS-NavCam"].values.items()}
+    full_well = values["full_well_electrons"]
+    assert full_well == pytest.approx(10.0 ** (38.1 / 10.0), rel=0.01)  # SNR is its square root
+    assert values["read_noise_electrons"] == pytest.approx(full_well / 10 ** (70.1 / 20), rel=0.02)
+
+
 def test_angles_of_datasheets_are_converted():
     texts = {"misalignment": "5 arcsec", "quantum": "0.5 arcsec"}
     made = scenario(imu={"kind": "imu", "gyroscopes": texts}).sensors["imu"].make()
@@ -95,6 +105,22 @@ def test_angles_of_datasheets_are_converted():
     texts = {"misalignment": "0.2 mrad"}
     made = scenario(imu={"kind": "imu", "accelerometers": texts}).sensors["imu"].make()
     assert made.accelerometers.misalignment == pytest.approx(2e-4)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["1_0 deg/h", "nan deg/h", "inf deg/h", "\u0661 deg/h", "1e deg/h", ". deg/h", "0x1 deg/h"],
+)
+def test_numbers_with_units_are_decimal(text):
+    imu = {"kind": "imu", "gyroscopes": {"bias": text}}
+    with pytest.raises(lunarsim.InputError, match=r"sensors\.imu\.gyroscopes\.bias: must be a num"):
+        scenario(imu=imu)
+
+
+@pytest.mark.parametrize("text", ["0.5 deg/h", "+.5 deg/h", "5E-1 deg/h", " 0.50  deg/h "])
+def test_decimal_numbers_with_units_may_have_a_sign_and_an_exponent(text):
+    made = scenario(imu={"kind": "imu", "gyroscopes": {"bias": text}}).sensors["imu"].make()
+    assert made.gyroscopes.bias == pytest.approx(0.5 * _DEG / _HOUR)
 
 
 def test_a_change_to_a_unit_of_another_kind_names_the_table():

@@ -28,6 +28,7 @@ from lunarsim.vehicle.touchdown import (
     touchdown_params,
     violated_limits,
 )
+from lunarsim_envs.arguments import FAULTS_REMEDY
 from lunarsim_envs.descent import _kernels as k
 from lunarsim_envs.descent.worlds import WorldPool
 
@@ -89,8 +90,7 @@ class VehicleParams:
         if isinstance(lander, JetLander):
             raise InputError("vehicle.kind", "jet-lander", "must be 'lander' in this environment")
         for table, remedy in (
-            ("legs", ""), ("faults", "Use the table [domain_randomization] for failures."),
-            ("sensor_faults", "This environment has no sensors."), ("moon", ""),
+            ("legs", ""), ("faults", FAULTS_REMEDY), ("sensor_faults", FAULTS_REMEDY), ("moon", ""),
         ):  # fmt: skip
             if getattr(scenario, table) not in (None, {}):
                 raise InputError(

@@ -16,6 +16,7 @@ from lunarsim.scenario import Scenario
 from lunarsim.typing import Array, BoolArray
 from lunarsim.vehicle.domain_randomization import RANDOM_QUANTITIES
 from lunarsim_envs.arguments import (
+    check_no_dispersions,
     checked_bool,
     checked_covers,
     checked_int,
@@ -72,6 +73,7 @@ class DescentEnvArguments(TypedDict, total=False):
     split: str
     covers: Sequence[float]
     privileged: bool
+    dispersions: None
 
 
 class DescentEnvCore:
@@ -86,7 +88,7 @@ class DescentEnvCore:
     guided
         Whether actions are thrust accelerations (true), or thrust and torques (false).
     scenario, changes, rate_hz, observation, scaled, weights, worlds, world_seed, split, covers,
-    privileged
+    privileged, dispersions
         Arguments of the environment, described in `env.GuidanceEnv`.
     """
 
@@ -106,7 +108,9 @@ class DescentEnvCore:
         split: str = "train",
         covers: Sequence[float] = (),
         privileged: bool = False,
+        dispersions: None = None,
     ) -> None:
+        check_no_dispersions(dispersions)
         self.many = count is not None
         count = checked_int("num_envs", 1 if count is None else count, 1)
         worlds, world_seed = (

@@ -318,6 +318,7 @@ class GuidanceEnv(DescentEnv):
       ``worlds`` worlds for each cover.
     - ``privileged``: adds ``info["privileged"]`` (29,) for asymmetric critics: the true state with
       the default observation components, then all values of ``info["randomized"]``.
+    - ``dispersions``: must be omitted; ``Retarget-v1`` draws faults of sensors and actuators.
     - ``num_envs``, ``autoreset_mode``, ``max_episode_steps`` with ``gymnasium.make_vec(...,
       vectorization_mode="vector_entry_point")``: number of flights in one kernel; "NextStep",
       "SameStep" or "Disabled"; number of steps until truncation. Environment i with seed s gives

@@ -50,10 +50,12 @@ class EvaluationStudy:
 def _final_values(info: dict[str, Any]) -> dict[str, Any]:
     """Return the values of the last `info` that fit in a results table, by name.
 
-    Booleans and numbers are kept, tuples of words become one text, other values are omitted.
+    Booleans and numbers are kept, tuples of words become one text, other values are omitted. Values
+    that the environment drew have the names of their scenario keys.
     """
     row: dict[str, Any] = {}
-    for name, value in info.items():
+    drawn = info.get("dispersions")
+    for name, value in (info | drawn if isinstance(drawn, dict) else info).items():
         if isinstance(value, bool | np.bool_):
             row[name] = bool(value)
         elif isinstance(value, int | float | np.integer | np.floating):

@@ -100,6 +100,11 @@ def evaluation_study(
             "--action", ", ".join(arguments["action"]), "applies only to Retarget-v1",
             "Omit this option.",
         )  # fmt: skip
+    if "dispersions" in arguments and own is not default_scenario:
+        raise InputError(
+            "--dispersions", arguments["dispersions"], "applies only to Retarget-v1",
+            "Omit this option.",
+        )  # fmt: skip
     if "perception" in arguments:
         _check_perception(arguments["perception"], own)
     for argument in ("split", "worlds", "world_seed"):

@@ -8,16 +8,19 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.campaign.dispersions import Dispersions
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies import Candidates, Decision, Observation
-from lunarsim.rng import SPLITS
+from lunarsim.rng import SPLITS, RandomStreams
 from lunarsim.scenario import Scenario
+from lunarsim.scenario.changes import with_values
 from lunarsim.simulation import Simulation
 from lunarsim.typing import Array
 from lunarsim_envs.descent.batch import FLYING
-from lunarsim_envs.descent.options import apply_options, scenario_with_options
+from lunarsim_envs.descent.options import KEYS, apply_options, scenario_with_options
+from lunarsim_envs.dispersions import check_option_is_fixed
 from lunarsim_envs.rewards import touchdown_limit_ratios
 from lunarsim_envs.sites.batch import SiteDescentBatch
 from lunarsim_envs.sites.site_inputs import SiteInputs, downsample_maps
@@ -27,6 +30,8 @@ class SiteFlight(Protocol):
     """Interface of one simulated flight that stops at each site decision."""
 
     simulation: Simulation | None
+    # Random scenario values of the current flight, by key.
+    drawn: dict[str, Any]
 
     def apply_options(self, options: Mapping[str, Any]) -> None:
         """Apply options of `reset` to the next flights."""
@@ -96,11 +101,15 @@ class SiteFlight(Protocol):
 class OnboardFlight:
     """A flight by the full simulation, with mappers and navigation of its scenario.
 
-    `split` is the split of the worlds, one of `lunarsim.rng.SPLITS`.
+    `split` is the split of the worlds, one of `lunarsim.rng.SPLITS`; `dispersions` are the random
+    scenario values of each flight, or None.
     """
 
-    def __init__(self, scenario: Scenario, split: str) -> None:
-        self._split = split
+    def __init__(
+        self, scenario: Scenario, split: str, dispersions: Dispersions | None = None
+    ) -> None:
+        self._split, self._dispersions = split, dispersions
+        self.drawn: dict[str, Any] = {}
         self.scenario = self._flown_scenario = scenario
         self.simulation: Simulation | None = None
         self._seen: Observation | None = None
@@ -114,13 +123,18 @@ class OnboardFlight:
 
     def apply_options(self, options: Mapping[str, Any]) -> None:
         """Apply options of `reset` to the next flights."""
-        self._flown_scenario = scenario_with_options(options, self.scenario)
+        scenario = scenario_with_options(options, self.scenario)
+        for option in options:
+            check_option_is_fixed(option, KEYS[option], self._dispersions)
+        self._flown_scenario = scenario
 
     def begin(self, rng: np.random.Generator) -> None:
         """Start a random flight, selected by `rng`, and fly it to its first decision."""
         # Seeds of different splits lie in different ranges, so that worlds are different.
         seed = int(rng.integers(2**62)) + SPLITS.index(self._split) * 2**62
-        self.simulation = Simulation(self._flown_scenario, seed)
+        drawn = {} if self._dispersions is None else self._dispersions.draws_of(RandomStreams(seed))
+        scenario = with_values(self._flown_scenario, drawn, "dispersions")
+        self.simulation, self.drawn = Simulation(scenario, seed), drawn
         self.time_scale_refused = False
         self._fly_on(lambda: None)
 
@@ -199,6 +213,7 @@ class KernelFlight:
 
     def __init__(self, lanes: SiteDescentBatch) -> None:
         self.simulation: Simulation | None = None
+        self.drawn: dict[str, Any] = {}
         self.lanes = lanes
         self._one = np.ones(1, np.bool_)
         self._small = downsample_maps(lanes.maps.p, lanes.maps.seen)

@@ -10,8 +10,9 @@ import numpy as np
 
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
-from lunarsim_envs.arguments import checked_covers
+from lunarsim_envs.arguments import check_no_dispersions, checked_covers
 from lunarsim_envs.descent.worlds import scenarios_by_cover
+from lunarsim_envs.dispersions import dispersions_argument
 from lunarsim_envs.sites.batch import SiteDescentBatch
 from lunarsim_envs.sites.field_of_view import fov_and_footprint
 from lunarsim_envs.sites.flights import KernelFlight, OnboardFlight, SiteFlight
@@ -30,7 +31,7 @@ _POSTING = 0.4
 
 def create_flight(
     perception: str, scenario: Scenario, worlds: int, world_seed: int, surrogate: Any,
-    covers: Sequence[float] = (), split: str = "train",
+    covers: Sequence[float] = (), split: str = "train", dispersions: Any = None,
 ) -> SiteFlight:  # fmt: skip
     """Create the simulated flight of a single ``Retarget-v1`` environment.
 
@@ -40,12 +41,13 @@ def create_flight(
     Raises
     ------
     InputError
-        If the perception is unknown, or does not support the scenario.
+        If the perception is unknown, or does not support the scenario or the dispersions.
     """
     if perception in FULL_SIMULATION:
         # The full simulation generates worlds per flight; this call only checks the covers.
         scenarios_by_cover(scenario, checked_covers(covers))
-        return OnboardFlight(scenario, split)
+        return OnboardFlight(scenario, split, dispersions_argument(dispersions, scenario))
+    check_no_dispersions(dispersions)
     return KernelFlight(
         create_batch(1, perception, scenario, worlds, world_seed, surrogate, covers, split)
     )
