@@ -127,6 +127,23 @@ def test_an_approach_that_is_planned_to_end_elsewhere_does_not_hover(blind, appr
     assert flight.outcome.touchdown.horizontal_speed < 0.6
 
 
+def test_a_weak_lander_ends_its_approach_upright_and_on_its_site(blind):
+    """E-guidance would end with 30 deg of tilt, which 20 N take 7 s to remove, over 19 m."""
+    simulation, flight = flown(
+        blind, guidance={"kind": "e-guidance"}, control={"kind": "phase-plane"},
+        approach={"max_tilt_deg": 50.0}, **WIDE,
+        vehicle={
+            "kind": "jet-lander", "propellant_mass_kg": 300.0, "thrusters": {"force_n": 20.0},
+        },
+    )  # fmt: skip
+    assert events(flight, "hover", "vertical-descent") == ["vertical-descent"]
+    assert flight.outcome.safe
+    assert landed_well(simulation, flight)
+    begin = np.argmax(flight.trajectory["phase"] == Phase.VERTICAL)
+    x, y = (flight.trajectory[f"attitude_{axis}"][begin] for axis in "xy")
+    assert 1.0 - 2.0 * (x * x + y * y) > np.cos(np.deg2rad(6.0))
+
+
 def test_a_time_scale_leaves_time_for_the_first_rotation(blind):
     """At 0.5 of the time-to-go, a strong lander has a path, but a weak one rotates too slowly."""
     simulation = Simulation(blind, 3, "no-divert")
