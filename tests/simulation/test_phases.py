@@ -22,7 +22,8 @@ def blind() -> Scenario:
     return Scenario.from_dict(
         {
             "name": "blind",
-            "terrain": {"size_m": 80.0, "rms_slope_deg": 0.0},
+            "simulation": {"cycle_s": 0.2},
+            "terrain": {"size_m": 80.0, "posting_m": 1.0, "rms_slope_deg": 0.0},
             "rocks": {"cover": 0.0},
             "sensors": {"imu": {"kind": "imu"}, "fix": {"kind": "navigation-fix"}},
             "tasking": {},
@@ -79,7 +80,7 @@ DIVERTS = [(300.0, (60.0, 0.0, 0.0)), (150.0, (-40.0, 30.0, 0.0)), (80.0, (0.0, 
 LANDER = Lander()
 # The fixed time-to-go is too short to stop with this tilt: the lander passes its site at 10 m.
 TOO_FAST = {"time_to_go_s": 34.0, "max_tilt_deg": 20.0}
-WIDE = {"terrain": {"size_m": 800.0, "rms_slope_deg": 0.0}}
+WIDE = {"terrain": {"size_m": 800.0, "posting_m": 4.0, "rms_slope_deg": 0.0}}
 
 
 @pytest.mark.parametrize("law", ["apollo", "e-guidance"])
@@ -228,7 +229,7 @@ def test_a_lander_with_weak_thrusters_keeps_its_limits_after_diverts(blind, forc
     }  # fmt: skip
     scenario = blind.changed(
         vehicle=vehicle, control={"kind": "phase-plane"},
-        terrain={"size_m": 300.0, "rms_slope_deg": 0.0},
+        terrain={"size_m": 300.0, "posting_m": 2.0, "rms_slope_deg": 0.0},
     )  # fmt: skip
     simulation, diverts = Simulation(scenario, 3, "no-divert"), DIVERTS.copy()
     computer, tilts, rates = simulation.computer, [], []
