@@ -125,9 +125,9 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     - ``hazard_crop`` (2, 33, 33): p_safe and observed mask around the current site, 1 m spacing.
 
     p_safe is the probability, given the measurements, that a touchdown centred there violates none
-    of the limits of slope, roughness and belly clearance, whatever its heading. It excludes speed, tilt,
-    tip-over and position error. ``sites``, ``candidates`` and ``site`` average it over the expected
-    position error.
+    of the limits of slope, roughness and belly clearance, whatever its heading. It excludes speed,
+    tilt, tip-over and position error. ``sites``, ``candidates`` and ``site`` average it over the
+    expected position error.
 
     - *Extent of the map.* In the default scenario the map is a square of 100 m with blocks of 2.1
       m. It is centred on the first current site and does not move when the lander diverts: the
@@ -326,7 +326,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         if self._picture is not None:
             self._picture.begin()
         elif self.render_mode is not None and self.simulation is not None:
-            from lunarsim_envs.frame_renderer import FrameRenderer  # loads Matplotlib
+            from lunarsim_envs.frame_renderer import FrameRenderer  # noqa: PLC0415  (Matplotlib is slow)
 
             # Creating axes is slow, so it is done once per flight.
             self.frames = FrameRenderer(self.simulation, self.flight.seen)

@@ -400,7 +400,7 @@ class Dispersions:
     @cached_property
     def _design(self) -> Array:
         """Numbers in (0, 1) of all flights and keys in a sampling design (flights, keys)."""
-        from scipy.stats import qmc  # loads slowly, and few programs draw
+        from scipy.stats import qmc  # noqa: PLC0415  (slow to load)
 
         rng = np.random.default_rng(design_seed(self.seed))
         count = len(self.distributions)

@@ -79,7 +79,7 @@ class TruncatedNormal:
 
     def at(self, u: float) -> float:
         """Return the quantile of the distribution at the probability `u`, in (0, 1)."""
-        from scipy.stats import truncnorm  # loads slowly, and few programs draw
+        from scipy.stats import truncnorm  # noqa: PLC0415  (slow to load)
 
         low, high = self._scores()
         return float(self.mean + self.sigma * truncnorm.ppf(u, low, high))
