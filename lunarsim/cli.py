@@ -262,9 +262,9 @@ def calibrate(
 ) -> None:  # fmt: skip
     """Calibrate a Gaussian DEM mapper to SCENARIO's terrain.
 
-    p_safe of a site is the probability that a touchdown there, at any heading, breaks none of the
-    limits of slope, roughness and belly clearance. It excludes speed, tilt, tip-over and position
-    error.
+    p_safe of a site is the probability that a touchdown there violates none of the limits of
+    slope, roughness and belly clearance, whatever its heading. It excludes speed, tilt,
+    tip-over and position error.
 
     The command flies SCENARIO with its own policy and samples random sites of the maps that divert
     decisions used. It then fits the last stage of the calibration (intercept and slope on log odds)

@@ -1,4 +1,6 @@
-"""Thresholds of statistical tests, from the chance that a fresh draw exceeds them.
+"""Thresholds and sample sizes of statistical tests.
+
+A threshold follows from the chance that a fresh draw exceeds it.
 
 The suite has fewer than 50 such assertions. With the chance below for each of them, it fails on a
 fresh draw of all of them once in 2,000 runs, if the program is right.
@@ -6,6 +8,7 @@ fresh draw of all of them once in 2,000 runs, if the program is right.
 
 from __future__ import annotations
 
+import pytest
 from scipy.stats import chi2
 
 # Of one assertion.
@@ -26,3 +29,11 @@ def ratio_bounds(degrees: int, excess: float = 1.0) -> tuple[float, float]:
     """
     low, high = chi2.ppf([CHANCE, 1.0 - CHANCE], degrees) / degrees
     return float(low) / excess, float(high) * excess
+
+
+def sample_sizes(small: int, full: int) -> pytest.MarkDecorator:
+    """Run a test with a small sample by default, and with the full one with ``-m slow``.
+
+    The test takes the size as the argument `count`.
+    """
+    return pytest.mark.parametrize("count", [small, pytest.param(full, marks=pytest.mark.slow)])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import pytest
 from hypothesis import HealthCheck, settings
 
@@ -21,6 +23,26 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("kernels")
+
+
+def pytest_collection_finish() -> None:
+    """Collect garbage less often: the collected tests and imported modules stay until the end."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Let processes take files from both ends of the list in turn.
+
+    Neighbouring files use the same kernels. Two processes that start with neighbours would both
+    compile these kernels.
+    """
+    if not hasattr(config, "workerinput"):
+        return
+    files = list(dict.fromkeys(item.path for item in items))
+    turn = {path: min(2 * k, 2 * (len(files) - k) - 1) for k, path in enumerate(files)}
+    items.sort(key=lambda item: turn[item.path])
 
 
 @pytest.fixture

@@ -50,6 +50,11 @@ def test_nothing_heavy_comes_along():
     assert loaded(*MODULES) == {module: set() for module in MODULES}
 
 
+def test_an_environment_loads_no_plots_before_it_renders():
+    module = "lunarsim_envs.retarget"
+    assert loaded(module, heavy=("matplotlib", "scipy.stats", "rasterio")) == {module: set()}
+
+
 def test_help_waits_for_nothing():
     """`lunarsim --help` loads what it prints, and no library that takes time."""
     assert loaded("lunarsim.cli", heavy=SLOW) == {"lunarsim.cli": set()}

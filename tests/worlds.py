@@ -66,9 +66,11 @@ def long_terrain(rng: np.random.Generator) -> Terrain:
     return Terrain(Heightfield(grid, z), rocks)
 
 
-# A quick flight over rolling ground: 96 x 96 pixels, a coarse map; and a quicker one.
+# A quick flight over rolling ground: 96 x 96 pixels, a coarse map, long control cycles; and a
+# quicker one.
 SMALL_FLIGHT = {
     "name": "small",
+    "simulation": {"cycle_s": 0.2},
     "terrain": {"size_m": 80.0},
     "rocks": {"cover": 0.04, "min_diameter_m": 0.3},
     "target": {"scatter_m": [15.0, 15.0]},
@@ -81,6 +83,7 @@ SMALL_FLIGHT = {
 }
 TINY_FLIGHT = {
     "name": "tiny",
+    "simulation": {"cycle_s": 0.2},
     "terrain": {"size_m": 60.0},
     "rocks": {"cover": 0.04, "min_diameter_m": 0.4},
     "target": {"scatter_m": [8.0, 8.0]},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -25,7 +25,6 @@ from lunarsim_envs.arguments import (
 )
 from lunarsim_envs.chase_view import ChaseViewRenderer
 from lunarsim_envs.descent.plane_view import PlaneView
-from lunarsim_envs.frame_renderer import FrameRenderer
 from lunarsim_envs.frame_window import FrameWindow, available_render_modes
 from lunarsim_envs.rewards import RewardWeights, SiteRewards, sum_terms
 from lunarsim_envs.sites.actions import DEFAULT_ACTION, SiteActions
@@ -34,6 +33,9 @@ from lunarsim_envs.sites.flights import KernelFlight
 from lunarsim_envs.sites.observations import DEFAULT, SiteObservationLayout
 from lunarsim_envs.sites.perception import FULL_SIMULATION, PERCEPTIONS, create_flight
 from lunarsim_envs.sites.perception_scenarios import with_perception
+
+if TYPE_CHECKING:
+    from lunarsim_envs.frame_renderer import FrameRenderer
 
 FloatArray = NDArray[np.float32]
 
@@ -122,10 +124,10 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
       (m).
     - ``hazard_crop`` (2, 33, 33): p_safe and observed mask around the current site, 1 m spacing.
 
-    p_safe is the probability, given the measurements, that a touchdown centred there at any heading
-    breaks none of the limits of slope, roughness and belly clearance. It excludes speed, tilt,
-    tip-over and position error. ``sites``, ``candidates`` and ``site`` average it over the expected
-    position error.
+    p_safe is the probability, given the measurements, that a touchdown centred there violates none
+    of the limits of slope, roughness and belly clearance, whatever its heading. It excludes speed,
+    tilt, tip-over and position error. ``sites``, ``candidates`` and ``site`` average it over the
+    expected position error.
 
     - *Extent of the map.* In the default scenario the map is a square of 100 m with blocks of 2.1
       m. It is centred on the first current site and does not move when the lander diverts: the
@@ -324,6 +326,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         if self._picture is not None:
             self._picture.begin()
         elif self.render_mode is not None and self.simulation is not None:
+            from lunarsim_envs.frame_renderer import FrameRenderer  # noqa: PLC0415  (Matplotlib is slow)
+
             # Creating axes is slow, so it is done once per flight.
             self.frames = FrameRenderer(self.simulation, self.flight.seen)
             self.views = ChaseViewRenderer(self.simulation) if self._with_views else None

@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 from scipy.special import ndtr, ndtri
-from scipy.stats import qmc
 
 from lunarsim.campaign.distributions import (
     Choice,
@@ -401,6 +400,8 @@ class Dispersions:
     @cached_property
     def _design(self) -> Array:
         """Numbers in (0, 1) of all flights and keys in a sampling design (flights, keys)."""
+        from scipy.stats import qmc  # noqa: PLC0415  (slow to load)
+
         rng = np.random.default_rng(design_seed(self.seed))
         count = len(self.distributions)
         if self.method == "saltelli":

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 from scipy.special import ndtr, ndtri
-from scipy.stats import truncnorm
 
 from lunarsim.errors import InputError, suggestion
 from lunarsim.parts import quantity, settings_of
@@ -80,6 +79,8 @@ class TruncatedNormal:
 
     def at(self, u: float) -> float:
         """Return the quantile of the distribution at the probability `u`, in (0, 1)."""
+        from scipy.stats import truncnorm  # noqa: PLC0415  (slow to load)
+
         low, high = self._scores()
         return float(self.mean + self.sigma * truncnorm.ppf(u, low, high))
 

@@ -33,6 +33,7 @@ from lunarsim.core.path_cost import (
     LOW,
     MASS,
     MOST,
+    TAN_FINAL_TILT,
     TAN_TILT,
     TIME_FRACTION,
     evaluate_path,
@@ -54,10 +55,10 @@ class DivertParams(NamedTuple):
     """Paths of a guidance law, and limits of the lander, SI.
 
     `powers` (2,): powers of time-to-go in the acceleration of a path. `final` (2, 3): velocity and
-    acceleration at the end of the approach. `params` (7,): gravity, mass, exhaust velocity, minimum
-    and maximum thrust, tangents of maximum tilt and glideslope. `coarse_table`, `fine_table`:
-    samples of a path (`sample_table`). `mass_limits` (4,): maximum thrust over dry mass, dry mass,
-    exhaust velocity, propellant reserve.
+    acceleration at the end of the approach. `params` (8,): gravity, mass, exhaust velocity, minimum
+    and maximum thrust, tangents of maximum tilt, glideslope and maximum tilt at the end.
+    `coarse_table`, `fine_table`: samples of a path (`sample_table`). `mass_limits` (4,): maximum
+    thrust over dry mass, dry mass, exhaust velocity, propellant reserve.
     """
 
     powers: np.ndarray
@@ -109,7 +110,7 @@ def evaluate_lanes(work, state, final, table, powers, params):
     vz = p - uz
     samples = table.shape[0] - 1
     half = time * (0.5 / samples / params[EXHAUST])
-    tilt, glide = params[TAN_TILT] * params[TAN_TILT], params[GLIDE] * params[GLIDE]
+    glide = params[GLIDE] * params[GLIDE]
     steep = params[GLIDE] > 0.0
     d, e = powers[0] + 1.0, powers[1] + 1.0
     zero = lane_fill(0.0)
@@ -130,7 +131,8 @@ def evaluate_lanes(work, state, final, table, powers, params):
         before = size
         thrust = mass * size
         violation = lane_max(violation, lane_max(thrust - params[MOST], params[LEAST] - thrust))
-        violation = lane_max(violation, lane_max(0.0 - az, side - tilt * lift))
+        tan = params[TAN_TILT if s < samples else TAN_FINAL_TILT]
+        violation = lane_max(violation, lane_max(0.0 - az, side - tan * tan * lift))
         left = time * table[s, TIME_FRACTION]
         f, g = low / (powers[0] + 2.0), high / (powers[1] + 2.0)
         x = left * (left * (ux * f + vx * g + 0.5 * final[1, 0]) - final[0, 0])

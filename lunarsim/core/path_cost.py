@@ -11,7 +11,7 @@ from lunarsim._jit import kernel
 TIME_FRACTION, LOW, HIGH = 0, 1, 2
 POSITION, VELOCITY = 0, 1
 SPEED, ACCELERATION = 0, 1
-GRAVITY, MASS, EXHAUST, LEAST, MOST, TAN_TILT, GLIDE = 0, 1, 2, 3, 4, 5, 6
+GRAVITY, MASS, EXHAUST, LEAST, MOST, TAN_TILT, GLIDE, TAN_FINAL_TILT = 0, 1, 2, 3, 4, 5, 6, 7
 HALVINGS = 5
 
 
@@ -75,8 +75,9 @@ def evaluate_path(state, target, final, time_to_go, table, powers, params, terms
     `out` (4,) receives delta-v (m/s), time (s), maximum thrust (N) and maximum tangent of the tilt;
     it is not written if the path is not admissible. `terms` (2, 3) is a work array. `state`,
     `target`, `final` and `powers` are those of `power_terms`. `table` (samples + 1, 3) is the
-    fraction of time left at the samples, from 1 to 0, and its two powers. `params` (7,): gravity,
-    mass, exhaust velocity, minimum and maximum thrust, tangents of maximum tilt and glideslope.
+    fraction of time left at the samples, from 1 to 0, and its two powers. `params` (8,): gravity,
+    mass, exhaust velocity, minimum and maximum thrust, tangents of maximum tilt, glideslope and
+    maximum tilt at the end.
     """
     power_terms(state, target, final, time_to_go, powers, terms)
     d, e = powers[0] + 1.0, powers[1] + 1.0
@@ -102,7 +103,7 @@ def evaluate_path(state, target, final, time_to_go, table, powers, params, terms
                 mass *= np.exp(-burnt)
         before = size
         thrust = mass * size
-        bound = params[TAN_TILT] * az
+        bound = params[TAN_TILT if s < samples else TAN_FINAL_TILT] * az
         if thrust > params[MOST] or thrust < params[LEAST] or az <= 0.0 or side > bound * bound:
             return False
         if not above_cone(

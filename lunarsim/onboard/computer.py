@@ -26,7 +26,7 @@ from lunarsim.onboard.guidance.command_limits import (
     LimitViolationMonitor,
     PositionCorrectionLimiter,
 )
-from lunarsim.onboard.guidance.contract import PhaseEnd, UsesHazardMap
+from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival, UsesHazardMap
 from lunarsim.onboard.guidance.divert_cost import DivertCost
 from lunarsim.onboard.guidance.vertical import Hovers, climb, descent_law
 from lunarsim.onboard.hazards.hazard_map import HazardMap, lookup_elevation
@@ -93,7 +93,6 @@ class OnboardComputer:
         with prefix_input_errors("navigation"):
             self.navigation = software.navigation.build(briefing)
         self.mappers = build_mappers(briefing, self.navigation)
-        self.site_evaluator = SiteEvaluator(briefing, self.navigation, self.mappers)
         self.tasking = [part.build(name, briefing) for name, part in software.tasking.items()]
         control = software.control
         lag = control.response_time + self.lander.thrust_lag
@@ -102,6 +101,7 @@ class OnboardComputer:
         if isinstance(self.guidance, UsesHazardMap):
             self.guidance.hazard_map_source = self._current_map
         self.vertical = descent_law(software.terminal_descent, briefing, lag)
+        self.site_evaluator = SiteEvaluator(briefing, self.navigation, self.mappers, self.vertical)
         self.braking = software.braking
         self._braking_law: Any = None
         if self.braking is not None:
@@ -479,12 +479,13 @@ class OnboardComputer:
             end = self.approach.end(self.site, self.lander)
             given = self.guidance.command(here, end, self.time, self.time_to_go)
             wanted = checked_command("guidance", self.briefing.software.guidance, given, self.time)
-            tilt = self.approach.max_tilt
             self.phases.follow_guidance()
-            if self._limit_monitor.exceeds_duration(
-                wanted, self.mass, (tilt, self.lander.thrust_max), self.time
-            ):
+            limits = self.approach.max_tilt, self.lander.thrust_max
+            if self._limit_monitor.exceeds_duration(wanted, self.mass, limits, self.time):
                 self.phases.extend(self.status)
+            tilt = self.approach.max_tilt
+            if not isinstance(self.guidance, PlansArrival):  # others limit the tilt of their plans
+                tilt = self.site_evaluator.max_tilt(self.time_to_go, self.mass)
         elif self.phase == Phase.VERTICAL:
             end = self.approach.touchdown_end(self.site, self.lander)
             given = self.vertical.command(here, end, self.time)

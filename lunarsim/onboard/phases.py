@@ -174,13 +174,18 @@ class PhaseSequence:
     def _has_missed(self, status: DescentStatus, touchdown: PhaseEnd) -> bool:
         """Return whether the approach ended too far from the site.
 
-        This is the case if the vertical descent to its end `touchdown` could begin at the planned
-        end of the approach, but not here. The result is False for a law that cannot hover.
+        This is the case if the vertical descent to its end `touchdown` could begin upright at the
+        planned end of the approach, but not here. The result is False for a law that cannot hover.
         """
         if not isinstance(self._terminal, Hovers):
             return False
         end = self._approach.end(status.site, self._lander)
-        planned = replace(status.estimate, position=end.position, velocity=end.velocity)
+        planned = replace(
+            status.estimate,
+            position=end.position,
+            velocity=end.velocity,
+            attitude=np.array([0.0, 0.0, 0.0, 1.0]),
+        )
         return self._terminal.can_reach(planned, touchdown) and not self._terminal.can_reach(
             status.estimate, touchdown
         )

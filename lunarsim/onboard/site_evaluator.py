@@ -9,8 +9,9 @@ from functools import partial
 import numpy as np
 
 from lunarsim.messages.briefing import Briefing
-from lunarsim.onboard.guidance.divert_cost import DivertCost
+from lunarsim.onboard.guidance.divert_cost import DivertCost, PathLimits
 from lunarsim.onboard.guidance.rotation import RotationLimits
+from lunarsim.onboard.guidance.vertical import TerminalDescentLaw, VerticalDescent
 from lunarsim.onboard.hazards.mapper import HazardMapper, checked_hazard_map
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.onboard.policies.candidates import candidate_sites
@@ -62,15 +63,24 @@ class SiteEvaluator:
         Navigation filter; it reports whether the lander drifts relative to its map.
     mappers
         Hazard mappers by name.
+    terminal
+        Guidance law of the terminal descent, which limits the tilt at the end of the approach if it
+        is a `VerticalDescent`.
 
     Attributes
     ----------
     rotation_limits
         Limits of rotation, which every path must leave time for.
+    path_limits
+        Limits of thrust, tilt, glideslope and propellant of every path.
     """
 
     def __init__(
-        self, briefing: Briefing, navigation: Navigation, mappers: Mapping[str, HazardMapper]
+        self,
+        briefing: Briefing,
+        navigation: Navigation,
+        mappers: Mapping[str, HazardMapper],
+        terminal: TerminalDescentLaw | None = None,
     ) -> None:
         software = briefing.software
         self.briefing, self.lander = briefing, briefing.lander
@@ -78,7 +88,24 @@ class SiteEvaluator:
         self._navigation, self._mappers = navigation, mappers
         descent = self.approach.vertical_altitude / self.approach.vertical_descent_speed
         self.rotation_limits = RotationLimits.of(self.lander, software.control)
+        self.path_limits = self._path_limits(terminal)
         self._dispersion = LandingDispersion(self.decisions.touchdown_sigma, descent)
+
+    def _path_limits(self, terminal: TerminalDescentLaw | None) -> PathLimits:
+        """Return the limits of every path.
+
+        The tilt at the end of the approach shifts the touchdown at most by the expected landing
+        error, unless the scenario sets an arrival acceleration with more tilt.
+        """
+        approach = self.approach
+        limits: PathLimits = approach.limits
+        if not isinstance(terminal, VerticalDescent):
+            return limits
+        shift = self.decisions.touchdown_sigma
+        tilt = terminal.max_final_tilt(self.lander.wet_mass, approach.max_tilt, shift)
+        east, north, up = approach.arrival_acceleration
+        planned = float(np.arctan2(np.hypot(east, north), up + self.briefing.surface_gravity))
+        return replace(limits, max_final_tilt=max(tilt, planned))
 
     @property
     def decision_map_name(self) -> str:
@@ -114,7 +141,7 @@ class SiteEvaluator:
         (`RotationLimits`), so its time-to-go may be longer.
         """
         law, end = self.briefing.software.guidance, self.approach.end(sites, self.lander)
-        gravity, limits = self.briefing.surface_gravity, self.approach.limits
+        gravity, limits = self.briefing.surface_gravity, self.path_limits
         # Guidance laws need not accept times.
         given = () if times is None else (times,)
         cost: DivertCost = law.cost(estimate, end, self.lander, gravity, limits, *given)
@@ -141,6 +168,16 @@ class SiteEvaluator:
         if self.cost_of(one, estimate, scaled).time_to_go[0] != scaled[0]:
             return float(cheapest[0]), "beyond the limits"
         return float(scaled[0]), ""
+
+    def max_tilt(self, time_to_go: float, mass: float) -> float:
+        """Return the maximum tilt (rad) at a time-to-go (s) of the approach.
+
+        From this tilt, the lander can still rotate to the maximum tilt at the end of the approach.
+        `mass` is in kg.
+        """
+        limits = self.path_limits
+        turn = self.rotation_limits.angle(time_to_go, mass)
+        return min(limits.max_final_tilt + turn, limits.max_tilt)
 
     def is_visible(self, site: Array, estimate: Estimate) -> bool:
         """Return whether a site (3,), m, is visible through the crew window.

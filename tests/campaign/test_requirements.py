@@ -24,6 +24,7 @@ from lunarsim.campaign.run import run
 from lunarsim.cli import main
 from lunarsim.errors import InputError
 from tests.campaign.surrogate import plan
+from tests.chance import sample_sizes
 
 
 def at_most_violations(violations: int, flights: int, fraction: float) -> float:
@@ -72,15 +73,16 @@ def test_a_violation_that_is_shown_fails():
     assert verify_values(one, "arm", values).status == "open"
 
 
-def test_tolerance_bounds_cover_the_true_percentile_as_often_as_stated():
-    """4,000 campaigns of 100 normal values: the bound must exceed the true 95th percentile."""
+@sample_sizes(500, 4_000)
+def test_tolerance_bounds_cover_the_true_percentile_as_often_as_stated(count):
+    """Campaigns of 100 normal values: the bound must exceed the true 95th percentile."""
     rng, covered = np.random.default_rng(5), 0
     one = Requirement("A", "x", at_most=0.0, percentage=95.0, confidence=90.0)
-    for _ in range(4000):
+    for _ in range(count):
         covered += verify_values(one, "arm", rng.normal(size=100)).bound >= 1.6448536
     exact = sum(comb(100, j) * 0.95**j * 0.05 ** (100 - j) for j in range(99))
     assert exact >= 0.9
-    assert covered / 4000 == pytest.approx(exact, abs=4.0 * np.sqrt(exact * (1 - exact) / 4000))
+    assert covered / count == pytest.approx(exact, abs=4.0 * np.sqrt(exact * (1 - exact) / count))
 
 
 def test_lower_limits_mirror_upper_limits():

@@ -36,8 +36,13 @@ def flown(folder, engine):
     return load_results(folder).table.to_pydict()
 
 
-def test_a_campaign_disperses_faults_with_the_same_bits_in_other_processes(tmp_path):
-    one, other = flown(tmp_path / "a", InlineEngine()), flown(tmp_path / "b", LocalEngine(2))
+@pytest.mark.parametrize(
+    "engine",
+    [InlineEngine(), pytest.param(LocalEngine(2), marks=pytest.mark.slow)],
+    ids=["inline", "local"],
+)
+def test_a_campaign_disperses_faults_with_the_same_bits_again(tmp_path, engine):
+    one, other = flown(tmp_path / "a", InlineEngine()), flown(tmp_path / "b", engine)
     for key in KEYS:
         drawn = next(values for name, values in one.items() if name.endswith(key))
         assert len(set(drawn)) == 3

@@ -50,15 +50,19 @@ LOW = Scenario.from_dict({
 })  # fmt: skip
 
 
+def test_check_env_without_a_warning():
+    """Fused maps are drawn from a camera and a LiDAR, so the other maps are in this check."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gymnasium.make(ID, scenario=LOW, perception="fused").unwrapped)
+
+
 @pytest.mark.parametrize(
     ("perception", "mapper"),
     [("shadows", ShadowMapper), ("quadtree", QuadtreeMapper), ("fused", FusedMapper)],
 )
 def test_flights_on_maps_drawn_on_board(perception, mapper):
     env = gymnasium.make(ID, scenario=LOW, perception=perception)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(env.unwrapped)
     _, info = env.reset(seed=2)
     computer = env.unwrapped.simulation.computer
     assert type(computer.mapper) is mapper

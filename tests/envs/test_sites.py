@@ -241,18 +241,18 @@ if __name__ == "__main__":
         return total
     sums(100)
     env = gymnasium.make_vec(
-        "lunarsim/Retarget-v1", num_envs=2, vectorization_mode="async", scenario=SMALL,
+        "lunarsim/Retarget-v1", num_envs=1, vectorization_mode="async", scenario=SMALL,
         perception="onboard", vector_kwargs={"context": sys.argv[1]},
     )
     env.reset(seed=1)
-    env.step([0, 0])
+    env.step([0])
     env.close()
     print("flown")
 """
 
 
 def test_a_forked_worker_that_would_die_says_what_to_type(tmp_path):
-    """And spawned ones fly."""
+    """And a spawned one flies."""
     path = tmp_path / "forked.py"
     path.write_text(_FORKED)
     done = [

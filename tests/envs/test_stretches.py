@@ -349,12 +349,12 @@ def test_random_draws_all_that_can_be_had():
 
 
 def test_agents_are_evaluated_on_the_parts_that_are_asked_for():
-    given = evaluation_study("lunarsim_envs:Retarget-v1", None, [], 1, action=list(BOTH))
+    given = evaluation_study("lunarsim_envs:Retarget-v1", None, [], 1, action=list(BOTH), worlds=1)
     assert given.make().action_space == spaces.MultiDiscrete([21, 5])
     for name in ("lunarsim_envs:Guidance-v1", "CartPole-v1"):
         with pytest.raises(InputError, match="--action: applies only"):
             evaluation_study(name, None, [], 1, action=["time_scale"])
-    words = ["evaluate", "Retarget-v1", "--episodes", "1", "--jobs", "1"]
+    words = ["evaluate", "Retarget-v1", "--episodes", "1", "--worlds", "1", "--jobs", "1"]
     done = CliRunner().invoke(main, [*words, "--action", "time_scale", "--agent", "nearest-safe"])
     assert done.exit_code == 2 and "with the action component 'site'" in done.output
 

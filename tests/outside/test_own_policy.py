@@ -42,7 +42,16 @@ def test_objects_compete_in_any_number_of_processes(small, tmp_path):
 
 def test_it_flies_the_environment_as_an_agent(outside, tmp_path, monkeypatch):
     monkeypatch.delenv("LUNARSIM_ALLOW_MODULES")
-    arguments = ["evaluate", "Retarget-v1", "--perception", "truth", "--episodes", "2"]
+    arguments = [
+        "evaluate",
+        "Retarget-v1",
+        "--perception",
+        "truth",
+        "--episodes",
+        "2",
+        "--worlds",
+        "1",
+    ]
     arguments += ["--jobs", "1", "--agent", OWN, "--out", str(tmp_path / "out")]
     done = CliRunner().invoke(main, arguments)
     assert done.exit_code == 0, done.output

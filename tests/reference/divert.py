@@ -36,9 +36,12 @@ def path(r, v, target, v_f, a_f, total, t, powers=(1.0, 2.0)):
 
 def best(
     r, v, target, v_f, a_f, times, samples, gravity, mass, exhaust, least, most, tan_tilt, glide,
-    powers=(1.0, 2.0),
+    tan_end, powers=(1.0, 2.0),
 ):  # fmt: skip
-    """Return increment, time, greatest thrust and lean of the cheapest admissible time, or NaN."""
+    """Return delta-v, time, peak thrust and tangent of tilt of the cheapest time, or NaN.
+
+    The tangent of the tilt is at most `tan_tilt`, and `tan_end` at the end of the path.
+    """
     found = [np.inf, np.nan, np.nan, np.nan]
     for total in times:
         t = np.linspace(0.0, total, samples + 1)
@@ -49,7 +52,8 @@ def best(
         thrust = mass * np.exp(-cumulative_trapezoid(size, t, initial=0.0) / exhaust) * size
         away = np.hypot(*(place - target)[:, :2].T)
         above = (place - target)[:, 2] - glide * away + 0.5
-        good = (thrust <= most) & (thrust >= least) & (side <= tan_tilt * pull[:, 2]) & (above >= 0)
+        tan = np.append(np.full(samples, tan_tilt), tan_end)
+        good = (thrust <= most) & (thrust >= least) & (side <= tan * pull[:, 2]) & (above >= 0)
         increment = simpson(size, x=t)
         if good.all() and increment < found[0]:
             found = [increment, total, thrust.max(), (side / pull[:, 2]).max()]

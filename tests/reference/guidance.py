@@ -164,7 +164,7 @@ class DivertSearch:
         return best(
             r, v, target, self.v_f, self.a_f, [time], samples, self.gravity, mass, self.exhaust,
             lander.thrust_min + margin, lander.thrust_max - margin, math.tan(limits.max_tilt),
-            math.tan(limits.glideslope),
+            math.tan(limits.glideslope), math.tan(limits.max_tilt),
         )[0]  # fmt: skip
 
     def propellant(self, mass, delta_v):

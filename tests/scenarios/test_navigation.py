@@ -24,7 +24,7 @@ def test_consistency_is_printed_and_written_by_epoch(script, tmp_path, capsys):
     study, out = script("navigation", "consistency").study, tmp_path / "flown"
     changes = (
         "initial_uncertainty.position_m=1e-4", "terrain.size_m=300",
-        "start.position_m=[-300,0,250]", "start.velocity_m_s=[18,0,-12]",
+        "start.position_m=[-300,0,250]", "start.velocity_m_s=[18,0,-12]", "simulation.cycle_s=0.2",
     )  # fmt: skip
     report_study(study, run_study(study, count=2, seed=3, options={"changes": changes}, out=out))
     text = capsys.readouterr().out

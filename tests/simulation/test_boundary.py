@@ -19,6 +19,7 @@ from tests.flight_comparison import assert_the_same, replayed
 
 FLASH = {
     "name": "flash",
+    "simulation": {"cycle_s": 0.2},
     "sensors": {
         "imu": {"kind": "imu"},
         "fix": {"kind": "navigation-fix"},
@@ -43,7 +44,7 @@ def camera() -> Scenario:
         sensors={"camera": {"width": 240, "height": 180}},
         tasking={"camera": {"rate_hz": 2.0}},
         mappers={"rocks": {"posting_m": 0.5, "size_m": 50.0}},
-        simulation={"max_time_s": 12.0},
+        simulation={"cycle_s": 0.2, "max_time_s": 12.0},
     )
 
 
@@ -52,8 +53,8 @@ def sweep() -> Scenario:
         terrain={"size_m": 200.0, "field_m": 60.0, "boulders": 100, "craters": 8},
         start={"position_m": [-220.0, 0.0, 150.0], "position_sigma_m": 1.0},
         approach={"time_to_go_s": 30.0},
-        simulation={"cycle_s": 0.1, "max_time_s": 12.0},
-        tasking={"flash": {"duration_s": 9.0, "rate_hz": 10.0, "size_m": 50.0}},
+        simulation={"cycle_s": 0.2, "max_time_s": 12.0},
+        tasking={"flash": {"duration_s": 9.0, "rate_hz": 5.0, "size_m": 50.0}},
         prior_map={"size_m": 180.0},
         sensors={"flash": {"rows": 96, "cols": 96, "half_fov_tangent": 0.025}},
         mappers={"sites": {"size_m": 64.0}},
@@ -89,7 +90,7 @@ def both() -> Scenario:
             "rocks": {"posting_m": 0.5, "size_m": 50.0},
         },
         decisions={"first_altitude_m": 120.0, "last_altitude_m": 40.0},
-        simulation={"max_time_s": 12.0},
+        simulation={"cycle_s": 0.2, "max_time_s": 12.0},
     )
 
 
@@ -102,7 +103,7 @@ def instruments() -> Scenario:
         sensors={"flash": {"rows": 64, "cols": 64}},
         tasking={"flash": {"kind": "periodic", "rate_hz": 2.0}},
         mappers={"dem": {"posting_m": 0.5, "size_m": 50.0}},
-        simulation={"max_time_s": 12.0},
+        simulation={"cycle_s": 0.2, "max_time_s": 12.0},
     )
 
 
@@ -134,8 +135,12 @@ def test_a_policy_gets_interest_and_scoreboard_where_there_is_no_world(tmp_path)
     assert_the_same(tap.exchanges, replayed(tap, ScoreboardChoice(), tmp_path))
 
 
-# The test above replays a sweep.
-@pytest.mark.parametrize("make", [flash, camera, both, instruments], ids=lambda f: f.__name__)
+# The test above replays a sweep; `both` has a camera too.
+@pytest.mark.parametrize(
+    "make",
+    [flash, both, instruments, pytest.param(camera, marks=pytest.mark.slow)],
+    ids=lambda f: f.__name__,
+)
 def test_replayed_measurements_give_the_same_commands_without_a_world(make, tmp_path):
     tap = MessageRecorder()
     simulation = Simulation(make(), 6, "safest", tap=tap)

@@ -20,7 +20,7 @@ from lunarsim.messages.measurements import (
 )
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from tests.chance import CHANCE, ratio_bounds
+from tests.chance import CHANCE, ratio_bounds, sample_sizes
 from tests.conftest import SCENARIOS
 from tests.navigation_errors import error_of
 
@@ -53,9 +53,10 @@ def events(simulation: Simulation) -> list[str]:
 
 
 @pytest.mark.statistical
-def test_it_has_the_stated_error_and_lands_at_its_estimate(scenario):
+@sample_sizes(2, 6)
+def test_it_has_the_stated_error_and_lands_at_its_estimate(scenario, count):
     nees = Consistency()
-    for seed in range(6):
+    for seed in range(count):
         simulation = Simulation(scenario, seed, "no-divert")
         local = []
         while not simulation.done:
@@ -72,12 +73,12 @@ def test_it_has_the_stated_error_and_lands_at_its_estimate(scenario):
         # terrain of the first scan, 800 m away: the first star reading, which corrects a tilt of
         # 0.1 deg (1 sigma per axis), moves the lander by a Rayleigh-distributed distance.
         steps = np.linalg.norm(np.diff(np.array(local), axis=0), axis=1)
-        moved = 800.0 * np.deg2rad(0.1) * np.sqrt(-2.0 * np.log(CHANCE / 6))
+        moved = 800.0 * np.deg2rad(0.1) * np.sqrt(-2.0 * np.log(CHANCE / count))
         assert steps[1:].max() < 0.1 * 40.0 + moved
         # Later it moves when ranges, and when scans, first meet the small terrain.
         assert (steps[10:] > 0.1 * 40.0).sum() <= 2
-    # Two epochs of each of six flights, of which one is independent.
-    low, high = ratio_bounds(6 * 9)
+    # Two epochs of each flight, of which one is independent.
+    low, high = ratio_bounds(count * 9)
     assert low < nees.ratio < high
 
 
@@ -176,12 +177,13 @@ class Late:
 
 
 @pytest.mark.statistical
-def test_the_unscented_filter_has_the_stated_error(scenario):
+@sample_sizes(2, 4)
+def test_the_unscented_filter_has_the_stated_error(scenario, count):
     plain = scenario.changed(
         navigation={"kind": "ukf"}, sensors={"flash": None}, tasking={"flash": None}
     )
     nees, mass = Consistency(), []
-    for seed in range(4):
+    for seed in range(count):
         simulation = Simulation(plain, seed, "no-divert")
         navigation, epochs = simulation.computer.navigation, 0
         while not simulation.done:
@@ -197,7 +199,7 @@ def test_the_unscented_filter_has_the_stated_error(scenario):
         assert not simulation.computer.estimate.lost
         assert not {"covariance-inflated", "lost"} & set(events(simulation))
     # Modest: what lasts and is taken for noise is made larger. Never sure of too much.
-    assert 0.4 < nees.ratio < ratio_bounds(4 * 9)[1]
+    assert 0.4 < nees.ratio < ratio_bounds(count * 9)[1]
     assert np.abs(mass).max() < 1.0
 
 

@@ -30,7 +30,7 @@ UNCHANGED = {
 
 @pytest.fixture(scope="module")
 def small():
-    return Scenario.from_dict(SMALL_FLIGHT)
+    return Scenario.from_dict(SMALL_FLIGHT).changed(simulation={"cycle_s": 0.1})
 
 
 def flown(scenario, seed=3, tap=None, **tables):

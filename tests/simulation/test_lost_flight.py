@@ -23,6 +23,12 @@ from tests.conftest import SCENARIOS
 SEED = 2
 
 
+@pytest.fixture
+def small_scenario(small_scenario) -> Scenario:
+    """The small scenario with control cycles of the default length."""
+    return small_scenario.changed(simulation={"cycle_s": 0.1})
+
+
 @pytest.fixture(scope="module")
 def instruments() -> Scenario:
     """Own instruments and a coarse map."""

@@ -38,7 +38,8 @@ class Ridge:
 def blind(law="apollo", **tables) -> Scenario:
     given = {
         "name": "odd",
-        "terrain": {"size_m": 60.0, "rms_slope_deg": 0.0},
+        "simulation": {"cycle_s": 0.2},
+        "terrain": {"size_m": 60.0, "posting_m": 1.0, "rms_slope_deg": 0.0},
         "rocks": {"cover": 0.0},
         "start": {"position_m": [-120.0, 0.0, 110.0], "velocity_m_s": [9.0, 0.0, -8.0]},
         "sensors": {"imu": {"kind": "imu"}, "fix": {"kind": "navigation-fix"}},

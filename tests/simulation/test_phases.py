@@ -22,7 +22,8 @@ def blind() -> Scenario:
     return Scenario.from_dict(
         {
             "name": "blind",
-            "terrain": {"size_m": 80.0, "rms_slope_deg": 0.0},
+            "simulation": {"cycle_s": 0.2},
+            "terrain": {"size_m": 80.0, "posting_m": 1.0, "rms_slope_deg": 0.0},
             "rocks": {"cover": 0.0},
             "sensors": {"imu": {"kind": "imu"}, "fix": {"kind": "navigation-fix"}},
             "tasking": {},
@@ -79,7 +80,7 @@ DIVERTS = [(300.0, (60.0, 0.0, 0.0)), (150.0, (-40.0, 30.0, 0.0)), (80.0, (0.0, 
 LANDER = Lander()
 # The fixed time-to-go is too short to stop with this tilt: the lander passes its site at 10 m.
 TOO_FAST = {"time_to_go_s": 34.0, "max_tilt_deg": 20.0}
-WIDE = {"terrain": {"size_m": 800.0, "rms_slope_deg": 0.0}}
+WIDE = {"terrain": {"size_m": 800.0, "posting_m": 4.0, "rms_slope_deg": 0.0}}
 
 
 @pytest.mark.parametrize("law", ["apollo", "e-guidance"])
@@ -124,6 +125,23 @@ def test_an_approach_that_is_planned_to_end_elsewhere_does_not_hover(blind, appr
     _, flight = flown(blind, approach=approach, **WIDE)
     assert events(flight, "hover", "approach", "vertical-descent") == ["vertical-descent"]
     assert flight.outcome.touchdown.horizontal_speed < 0.6
+
+
+def test_a_weak_lander_ends_its_approach_upright_and_on_its_site(blind):
+    """E-guidance would end with 30 deg of tilt, which 20 N take 7 s to remove, over 19 m."""
+    simulation, flight = flown(
+        blind, guidance={"kind": "e-guidance"}, control={"kind": "phase-plane"},
+        approach={"max_tilt_deg": 50.0}, **WIDE,
+        vehicle={
+            "kind": "jet-lander", "propellant_mass_kg": 300.0, "thrusters": {"force_n": 20.0},
+        },
+    )  # fmt: skip
+    assert events(flight, "hover", "vertical-descent") == ["vertical-descent"]
+    assert flight.outcome.safe
+    assert landed_well(simulation, flight)
+    begin = np.argmax(flight.trajectory["phase"] == Phase.VERTICAL)
+    x, y = (flight.trajectory[f"attitude_{axis}"][begin] for axis in "xy")
+    assert 1.0 - 2.0 * (x * x + y * y) > np.cos(np.deg2rad(6.0))
 
 
 def test_a_time_scale_leaves_time_for_the_first_rotation(blind):
@@ -211,7 +229,7 @@ def test_a_lander_with_weak_thrusters_keeps_its_limits_after_diverts(blind, forc
     }  # fmt: skip
     scenario = blind.changed(
         vehicle=vehicle, control={"kind": "phase-plane"},
-        terrain={"size_m": 300.0, "rms_slope_deg": 0.0},
+        terrain={"size_m": 300.0, "posting_m": 2.0, "rms_slope_deg": 0.0},
     )  # fmt: skip
     simulation, diverts = Simulation(scenario, 3, "no-divert"), DIVERTS.copy()
     computer, tilts, rates = simulation.computer, [], []

@@ -166,7 +166,7 @@ def test_terrain_is_mapped_from_the_first_scan_and_a_lock_moves_none_of_it(flown
 def test_interest_comes_from_a_file(tmp_path):
     grid = {"x0": -30.0, "y0": -30.0, "posting": 10.0}
     np.savez(tmp_path / "west.npz", value=np.tile([1.0, 1, 1, 0, 0, 0, 0], (7, 1)), **grid)
-    given = scenario(mappers={"sites": {"interest_path": str(tmp_path / "west.npz")}})
+    given = scenario(mappers={"sites": {"interest_path": str(tmp_path / "west.npz")}}, sensors=FEW)
     given.save(tmp_path / "s.toml")
     simulation = Simulation(Scenario.load(tmp_path / "s.toml"), 2)
     while simulation.time < 4.0:

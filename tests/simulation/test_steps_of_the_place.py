@@ -15,9 +15,15 @@ from lunarsim.simulation import Simulation
 STEP = np.array([0.0, 2.0, 0.0])
 PLAIN = {
     "name": "level",
+    "simulation": {"cycle_s": 0.2},
     "terrain": {"kind": "fractal", "size_m": 160.0, "posting_m": 1.0, "rms_slope_deg": 0.2},
     "rocks": {"cover": 0.0},
-    "start": {"position_sigma_m": 0.0, "velocity_sigma_m_s": 0.0},
+    "start": {
+        "position_m": [-200.0, 0.0, 180.0],
+        "velocity_m_s": [14.0, 0.0, -12.0],
+        "position_sigma_m": 0.0,
+        "velocity_sigma_m_s": 0.0,
+    },
     "sensors": {
         "imu": {"kind": "imu"},
         "altimeter": {"kind": "radar-altimeter"},

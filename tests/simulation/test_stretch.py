@@ -29,6 +29,12 @@ def deciding(scenario):
 
 
 @pytest.fixture
+def small_scenario(small_scenario):
+    """The small scenario with control cycles of the default length."""
+    return small_scenario.changed(simulation={"cycle_s": 0.1})
+
+
+@pytest.fixture
 def flying(small_scenario):
     return deciding(small_scenario)
 

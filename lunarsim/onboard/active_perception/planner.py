@@ -264,7 +264,7 @@ class InformationPlanner:
         """
         p = problem
         out = np.empty((len(plans), 2))
-        vehicle = vehicle_params(p.estimate, p.lander, p.gravity, p.limits)
+        vehicle = p.limits.params(p.estimate.mass, p.lander, p.gravity)
         site = np.array([*p.site, p.site[2] + p.com_height, p.min_altitude])
         kernels.score_paths.run_loop(
             len(plans), 10.0,
@@ -326,18 +326,6 @@ def _sensor_params(sensor: SensorCoverageModel, schedules: MeasurementAltitudes)
         schedules.lowest,
         *sensor.sun,
     ]
-
-
-def vehicle_params(estimate: Estimate, lander: Lander, gravity: float, limits: PathLimits) -> Array:
-    """Return the `params` of the kernel `evaluate_path` (7,).
-
-    They are gravity, m/s^2, mass, kg, exhaust velocity, m/s, minimum and maximum thrust reduced by
-    the throttle margins, N, and the tangents of the limits of tilt and glideslope.
-    """
-    return np.array([
-        gravity, estimate.mass, lander.exhaust_velocity, *limits.thrust_range(lander),
-        np.tan(limits.max_tilt), np.tan(limits.glideslope),
-    ])  # fmt: skip
 
 
 def _time_fractions(count: int) -> Array:

@@ -36,6 +36,8 @@ class PathLimits:
         Fraction of the thrust range reserved for feedback at its upper end.
     lower_throttle_margin
         The same at its lower end; None: as at the upper end.
+    max_final_tilt
+        Maximum tilt of the thrust at the end of the path, rad, where it is below `max_tilt`.
     """
 
     max_tilt: float = np.deg2rad(40.0)
@@ -43,12 +45,26 @@ class PathLimits:
     reserve: float = 15.0
     throttle_margin: float = 0.08
     lower_throttle_margin: float | None = None
+    max_final_tilt: float = 0.5 * np.pi
 
     def thrust_range(self, lander: Lander) -> tuple[float, float]:
         """Return the minimum and maximum thrust of planned paths of a lander, N."""
         upper, lower = self.throttle_margin, self.lower_throttle_margin
         lower, throttle = upper if lower is None else lower, lander.thrust_max - lander.thrust_min
         return lander.thrust_min + lower * throttle, lander.thrust_max - upper * throttle
+
+    def params(self, mass: float, lander: Lander, gravity: float) -> Array:
+        """Return the `params` of the kernel `evaluate_path` (8,).
+
+        They are gravity, m/s^2, mass, kg, exhaust velocity, m/s, minimum and maximum thrust reduced
+        by the throttle margins, N, and the tangents of the limits of tilt, glideslope and final
+        tilt.
+        """
+        return np.array([
+            gravity, mass, lander.exhaust_velocity, *self.thrust_range(lander),
+            np.tan(self.max_tilt), np.tan(self.glideslope),
+            np.tan(min(self.max_final_tilt, self.max_tilt)),
+        ])  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -147,18 +163,14 @@ def divert_params(
     `gravity` is the downward acceleration, m/s^2. The thrust range is reduced by the throttle
     margins of `limits`; the position of `end` is not included.
     """
-    params = (
-        gravity, lander.wet_mass, lander.exhaust_velocity, *limits.thrust_range(lander),
-        np.tan(limits.max_tilt), np.tan(limits.glideslope),
-    )  # fmt: skip
     masses = (
         lander.thrust_max / lander.dry_mass, lander.dry_mass, lander.exhaust_velocity,
         limits.reserve,
     )  # fmt: skip
     return core.DivertParams(
         np.array(shape.powers), np.array([end.velocity, end.acceleration], dtype=np.float64),
-        np.array(params), _sample_table(shape, _COARSE_SAMPLES), _sample_table(shape, _SAMPLES),
-        np.array(masses),
+        limits.params(lander.wet_mass, lander, gravity), _sample_table(shape, _COARSE_SAMPLES),
+        _sample_table(shape, _SAMPLES), np.array(masses),
     )  # fmt: skip
 
 

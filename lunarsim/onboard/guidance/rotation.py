@@ -124,6 +124,14 @@ class RotationLimits:
         bang_bang = angle <= w * w / a
         return np.where(bang_bang, 2.0 * np.sqrt(angle / a), angle / w + w / a)
 
+    def angle(self, time: float, mass: float) -> float:
+        """Return the largest rotation (rad) from rest to rest within a time (s).
+
+        This is the inverse of the method `time`; `mass` is that of the lander, kg.
+        """
+        a, w, time = self.acceleration(mass), self.max_rate, max(time, 0.0)
+        return 0.25 * a * time**2 if time <= 2.0 * w / a else w * (time - w / a)
+
     def min_time_to_go(self, rotation: Array, mass: float, shape: PathShape) -> Array:
         """Return the minimum time-to-go (...), s, after a first rotation (...), rad.
 

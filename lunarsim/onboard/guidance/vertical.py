@@ -102,6 +102,8 @@ class VerticalDescent:
         away, the vertical descent does not begin: the lander hovers and approaches again.
     lag
         Total response lag of attitude control and engine, s.
+    rotation
+        Limits of rotation of the lander; None: only the lag delays a rotation.
     dry_mass
         Mass of the lander without propellant, kg.
     """
@@ -173,6 +175,7 @@ class VerticalDescent:
         "descent is due; if it is larger, the lander hovers and approaches the site again",
     )
     lag: float = hidden(0.0)
+    rotation: RotationLimits | None = hidden(None)
 
     def __post_init__(self) -> None:
         check_bounds(self, "terminal_descent")
@@ -195,10 +198,12 @@ class VerticalDescent:
         as the loop without.
         """
         control, lander = briefing.software.control, briefing.lander
+        rotation = RotationLimits.of(lander, control)
         if isinstance(control, SlewLimitedControl):
-            rotation = RotationLimits.of(lander, control).time(self.max_tilt, lander.dry_mass)
-            lag += max(control.turning_time(self.max_tilt), 0.5 * float(rotation))
-        return self.for_lag(lag, briefing.surface_gravity, briefing.lander.dry_mass)
+            turn = float(rotation.time(self.max_tilt, lander.dry_mass))
+            lag += max(control.turning_time(self.max_tilt), 0.5 * turn)
+        law = self.for_lag(lag, briefing.surface_gravity, lander.dry_mass)
+        return replace(law, rotation=rotation)
 
     def for_lag(self, lag: float, gravity: float, dry_mass: float) -> VerticalDescent:
         """Return the law for a total lag (s), gravity (m/s^2) and dry mass (kg)."""
@@ -220,18 +225,42 @@ class VerticalDescent:
         return command
 
     def can_reach(self, estimate: Estimate, end: PhaseEnd) -> bool:
-        """Return whether the lander can stop within `max_offset` of the site of `end`.
-
-        It stops with the horizontal deceleration at the maximum tilt. Before, its current tilt
-        changes the velocity for half of the response lag.
-        """
+        """Return whether the lander can stop within `max_offset` of the site of `end`."""
         axis = quat_to_matrix(estimate.attitude)[:, 2]
-        velocity = estimate.velocity[:2] + 0.5 * self.lag * self.gravity * axis[:2] / max(
-            axis[2], 0.1
-        )
+        acceleration = self.gravity * axis[:2] / max(axis[2], 0.1)
+        tilt = float(np.arccos(np.clip(axis[2], -1.0, 1.0)))
+        shift = self._stopping_shift(estimate.velocity[:2], acceleration, tilt, estimate.mass)
+        offset = estimate.position[:2] + shift - end.position[:2]
+        return float(np.hypot(*offset)) <= self.max_offset
+
+    def max_final_tilt(self, mass: float, max_tilt: float, shift: float) -> float:
+        """Return the maximum tilt at the end of the approach, at most `max_tilt`.
+
+        From this tilt, a lander of a mass (kg) without horizontal velocity stops within a distance
+        `shift`, m. Angles are in rad.
+        """
+        for tilt in np.linspace(max_tilt, 0.0, 1 + round(np.rad2deg(max_tilt))):
+            pull = np.array([self.gravity * np.tan(tilt), 0.0])
+            if self._stopping_shift(np.zeros(2), pull, float(tilt), mass)[0] <= shift:
+                return float(tilt)
+        return 0.0
+
+    def _stopping_shift(
+        self, velocity: Array, acceleration: Array, tilt: float, mass: float
+    ) -> Array:
+        """Return the horizontal displacement (2,), m, until the lander stops.
+
+        It first rotates upright from a `tilt`, rad, for a time t: the response lag or the time of
+        this rotation. Meanwhile its horizontal `acceleration` a (2,), m/s^2, decreases to zero,
+        which changes its `velocity` (2,), m/s, by a t / 2 and its position by a t^2 / 3. Then it
+        decelerates at the maximum tilt. `mass` is in kg.
+        """
+        time = self.lag
+        if self.rotation is not None:
+            time = max(time, float(self.rotation.time(tilt, mass)))
+        velocity = velocity + 0.5 * time * acceleration
         stopping_time = float(np.hypot(*velocity)) / (self.gravity * np.tan(self.max_tilt))
-        stop = estimate.position[:2] + 0.5 * stopping_time * velocity
-        return float(np.hypot(*(stop - end.position[:2]))) <= self.max_offset
+        return np.asarray(time**2 / 3.0 * acceleration + 0.5 * stopping_time * velocity)
 
     def hover(self, estimate: Estimate, height: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2, of a hover at a height.

@@ -17,16 +17,17 @@ def table_of(powers, samples):
 
 @pytest.mark.parametrize("powers", POWERS)
 @pytest.mark.parametrize(
-    ("least", "most", "tan_tilt", "glide"),
+    ("least", "most", "tan_tilt", "glide", "tan_end"),
     [
-        (0.0, 1e9, 1e9, -1e9),  # nothing limits
-        (2300.0, 5000.0, 1e9, -1e9),
-        (0.0, 1e9, 0.4, -1e9),
-        (0.0, 1e9, 1e9, 0.6),
-        (1500.0, 5500.0, 0.7, 0.3),
+        (0.0, 1e9, 1e9, -1e9, 1e9),  # nothing limits
+        (2300.0, 5000.0, 1e9, -1e9, 1e9),
+        (0.0, 1e9, 0.4, -1e9, 0.4),
+        (0.0, 1e9, 1e9, 0.6, 1e9),
+        (0.0, 1e9, 1e9, -1e9, 0.2),
+        (1500.0, 5500.0, 0.7, 0.3, 0.5),
     ],
 )
-def test_what_a_path_takes(powers, least, most, tan_tilt, glide):
+def test_what_a_path_takes(powers, least, most, tan_tilt, glide, tan_end):
     rng = np.random.default_rng(5)
     count, samples = 30, 12
     r, v = np.array([-200.0, 40.0, 260.0]), np.array([14.0, -3.0, -12.0])
@@ -34,9 +35,9 @@ def test_what_a_path_takes(powers, least, most, tan_tilt, glide):
     v_f, a_f = np.array([0.3, -0.2, -2.0]), np.array([0.1, 0.05, 0.2])
     times = rng.uniform(15.0, 60.0, (9, count))
     times[3, 4] = np.nan
-    figures = (samples, 1.62, 1480.0, 3050.0, least, most, tan_tilt, glide)
+    figures = (samples, 1.62, 1480.0, 3050.0, least, most, tan_tilt, glide, tan_end)
     table = table_of(powers, samples)
-    given = np.array([1.62, 1480.0, 3050.0, least, most, tan_tilt, glide])
+    given = np.array([1.62, 1480.0, 3050.0, least, most, tan_tilt, glide, tan_end])
     state, asked = np.array([r, v]), np.array([v_f, a_f])
     reached = 0
     for row in times:
@@ -65,12 +66,12 @@ def test_a_path_that_burns_much_of_the_mass():
     r, v = np.array([-200.0, 40.0, 260.0]), np.array([14.0, -3.0, -12.0])
     target, v_f, a_f = np.zeros((1, 3)), np.array([0.0, 0.0, -2.0]), np.zeros(3)
     table, time, out = table_of(powers, samples), np.array([30.0]), np.empty((1, 4))
-    given = np.array([1.62, 1480.0, exhaust, 0.0, 1e9, 1e9, -1e9])
+    given = np.array([1.62, 1480.0, exhaust, 0.0, 1e9, 1e9, -1e9, 1e9])
     kernels.search_sites(
         np.array([r, v]), target, np.array([v_f, a_f]), time, time, 1, table, table,
         np.array(powers), given, out,
     )  # fmt: skip
-    figures = (samples, 1.62, 1480.0, exhaust, 0.0, 1e9, 1e9, -1e9)
+    figures = (samples, 1.62, 1480.0, exhaust, 0.0, 1e9, 1e9, -1e9, 1e9)
     wanted = plain.best(r, v, target[0], v_f, a_f, [30.0], *figures, powers)
     assert out[0] == pytest.approx(wanted, rel=1e-9)
     with_much = plain.best(r, v, target[0], v_f, a_f, [30.0], samples, 1.62, 1480.0, 1e9,
@@ -84,8 +85,8 @@ def test_search_ends_at_the_edge_of_what_is_admissible():
     r, v = np.array([-200.0, 40.0, 260.0]), np.array([14.0, -3.0, -12.0])
     target, v_f, a_f = np.zeros((1, 3)), np.array([0.0, 0.0, -2.0]), np.zeros(3)
     table = table_of(powers, samples)
-    given = np.array([1.62, 1480.0, 3050.0, 1500.0, 5500.0, 0.7, 0.2])
-    figures = (samples, 1.62, 1480.0, 3050.0, 1500.0, 5500.0, 0.7, 0.2)
+    given = np.array([1.62, 1480.0, 3050.0, 1500.0, 5500.0, 0.7, 0.2, 0.7])
+    figures = (samples, 1.62, 1480.0, 3050.0, 1500.0, 5500.0, 0.7, 0.2, 0.7)
     out = np.empty((1, 4))
     kernels.search_sites(
         np.array([r, v]), target, np.array([v_f, a_f]), np.array([5.0]), np.array([200.0]), 14,
@@ -105,7 +106,7 @@ def test_a_site_is_evaluated_alike_whoever_stands_beside_it(glide):
     targets = np.column_stack((rng.uniform(-400.0, 400.0, (50, 2)), rng.normal(0.0, 5.0, 50)))
     first, last = rng.uniform(4.0, 12.0, 50), rng.uniform(40.0, 200.0, 50)
     first[7], last[9], last[11] = np.nan, 2.0, np.inf
-    given = np.array([1.62, 1480.0, 3050.0, 1500.0, 5500.0, 0.7, glide])
+    given = np.array([1.62, 1480.0, 3050.0, 1500.0, 5500.0, 0.7, glide, 0.6])
     tables = table_of(powers, 8), table_of(powers, samples), np.array(powers)
 
     def surveyed(k):
@@ -121,7 +122,7 @@ def test_a_site_is_evaluated_alike_whoever_stands_beside_it(glide):
     turned = rng.permutation(50)[:17]
     assert np.array_equal(surveyed(turned), every[turned], equal_nan=True)
     # What is written is the path's, to the last bit but a few, at the time that is written.
-    figures = (samples, 1.62, 1480.0, 3050.0, 1500.0, 5500.0, 0.7, glide)
+    figures = (samples, 1.62, 1480.0, 3050.0, 1500.0, 5500.0, 0.7, glide, 0.6)
     for n in np.flatnonzero(np.isfinite(every[:, 0])):
         told = plain.best(*state, targets[n], *asked, [every[n, 1]], *figures, powers)
         assert every[n] == pytest.approx(told, rel=1e-9)
@@ -139,7 +140,7 @@ def test_sixteen_side_by_side_cost_what_each_costs_alone(glide):
     rng = np.random.default_rng(9)
     r, v = np.array([-150.0, 40.0, 160.0]), np.array([10.0, -3.0, -9.0])
     v_f, a_f = np.array([0.2, -0.1, -2.0]), np.array([0.05, 0.1, 0.2])
-    figures = (1.62, 1480.0, 900.0, 1500.0, 4600.0, 0.7, glide)
+    figures = (1.62, 1480.0, 900.0, 1500.0, 4600.0, 0.7, glide, 0.5)
     w, good = np.zeros(80, np.float32), 0
     for _ in range(60):
         high = rng.normal(0.0, 9.0 if glide > 0.0 else 90.0, 16)
@@ -165,7 +166,7 @@ def test_times_stay_between_their_bounds():
     state = np.array([[-200.0, 40.0, 260.0], [14.0, -3.0, -12.0]])
     asked = np.array([[0.0, 0.0, -2.0], np.zeros(3)])
     targets = np.column_stack((np.linspace(-60.0, 60.0, 20), np.zeros((20, 2))))
-    given = np.array([1.62, 1480.0, 3050.0, 0.0, 1e9, 1e9, -1e9])
+    given = np.array([1.62, 1480.0, 3050.0, 0.0, 1e9, 1e9, -1e9, 1e9])
     for first, last in ((45.0, 80.0), (30.0, 60.0)):
         out = np.empty((20, 4))
         kernels.search_sites(
@@ -190,10 +191,10 @@ def test_a_limit_within_rounding_of_a_path_does_not_lose_the_site():
     for at in np.linspace(0.0, 1.0, 14)[1:8]:
         time = float(first[0] * (last[0] / first[0]) ** at)
         free = plain.best(r, v, target[0], v_f, a_f, [time], samples, 1.62, 1480.0, 3050.0, 0.0,
-                          1e9, 1e9, -1e9, powers)  # fmt: skip
+                          1e9, 1e9, -1e9, 1e9, powers)  # fmt: skip
         for less in (1e-9, 3e-9, 1e-8, 3e-8, 1e-7):
             most = free[2] * (1.0 - less)
-            given = np.array([1.62, 1480.0, 3050.0, 0.0, most, 1e9, -1e9])
+            given = np.array([1.62, 1480.0, 3050.0, 0.0, most, 1e9, -1e9, 1e9])
             out = np.empty((1, 4))
             kernels.search_sites(
                 np.array([r, v]), target, asked, first, last, 14, table, table, np.array(powers),

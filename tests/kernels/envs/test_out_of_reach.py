@@ -12,6 +12,7 @@ from lunarsim_envs.sites import _beyond_kernels as b
 from lunarsim_envs.sites import _flight_kernels as f
 from lunarsim_envs.sites import reachable_candidates as stead
 from lunarsim_envs.sites.batch import kernel_guidance
+from tests.chance import sample_sizes
 
 
 @pytest.fixture(scope="module")
@@ -45,10 +46,11 @@ def inside(low, high, rng, count=24):
     return np.vstack((corners, 0.5 * (low + high), rng.uniform(low, high, (count, 3))))
 
 
-def test_what_is_proven_is_so_and_most_is_proven(law):
+@sample_sizes(3_000, 12_000)
+def test_what_is_proven_is_so_and_most_is_proven(law, count):
     """Far and near, flat and tall boxes; steep and shallow cones; rising and falling landers."""
     rng, lost, claimed = np.random.default_rng(0), 0, 0
-    for _ in range(12_000):
+    for _ in range(count):
         glide, tilt = rng.choice([3.0, 8.0, 20.0, 45.0]), rng.choice([10.0, 20.0, 40.0, 60.0])
         place = np.append(rng.uniform(-300.0, 300.0, 2), rng.uniform(10.0, 400.0))
         velocity = np.append(rng.normal(0.0, 15.0, 2), rng.uniform(-40.0, 15.0))

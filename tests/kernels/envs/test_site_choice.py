@@ -57,7 +57,7 @@ def test_nothing_in_reach_is_proven_to_be_out_of_it(boxes):
     # And most of what is out of reach is proven to be, else it were no use.
     assert proven[~reached].mean() > 0.8
     some = [one for one in told if one[3]][::5]
-    g, _, exhaust, least, most, tilt, glide = law.paths.params
+    g, _, exhaust, least, most, tilt, glide, _ = law.paths.params
     for state, mass, sites, _, _ in some:
         for site in sites[:3]:
             burnt = reachable(

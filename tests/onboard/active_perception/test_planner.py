@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsim.onboard.active_perception.guidance import InformationSeekingLaw
-from lunarsim.onboard.active_perception.planner import InformationPlanner, PathPlan, vehicle_params
+from lunarsim.onboard.active_perception.planner import InformationPlanner, PathPlan
 from lunarsim.onboard.active_perception.sensor_coverage import (
     build_coverage_models,
     footprint_radius,
@@ -77,11 +77,10 @@ def test_the_kernel_is_given_what_the_lander_and_its_sensors_are(asked, change):
     vehicle = (
         problem.gravity, problem.estimate.mass, lander.exhaust_velocity,
         lander.thrust_min + margin, lander.thrust_max - margin, np.tan(limits.max_tilt),
-        np.tan(limits.glideslope),
+        np.tan(limits.glideslope), np.tan(limits.max_tilt),
     )  # fmt: skip
-    np.testing.assert_allclose(
-        vehicle_params(problem.estimate, lander, problem.gravity, limits), vehicle
-    )
+    found = limits.params(problem.estimate.mass, lander, problem.gravity)
+    np.testing.assert_allclose(found, vehicle)
     names = ("weight", "known", "needs")
     nodes = [
         {"at": row[:3]} | dict(zip(names, row[3:], strict=True)) for row in problem.nodes

@@ -8,6 +8,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.divert_cost import PathLimits, divert_cost
 from lunarsim.onboard.guidance.paths import APOLLO
+from lunarsim.onboard.guidance.polynomial_laws import EGuidanceLaw
 from lunarsim.onboard.navigation.estimate import Estimate
 
 G = 1.622
@@ -112,3 +113,24 @@ def test_reserve_and_throttle_margin_are_kept():
     assert not divert_cost(
         estimate(), end, LANDER, G, limits=PathLimits(reserve=left + 0.01)
     ).feasible[0]
+
+
+@pytest.mark.parametrize("most_deg", [30.0, 12.0, 6.0])
+def test_paths_end_within_the_final_tilt(most_deg):
+    """E-guidance ends with any acceleration; with a limit it flies longer and uses more."""
+    end = PhaseEnd(np.array([[x, y, 12.0] for x in (-40.0, 40.0) for y in (0.0, 30.0)]), DOWN)
+    shape = EGuidanceLaw().shape
+    free = divert_cost(estimate(), end, LANDER, G, shape=shape)
+    limits = PathLimits(max_final_tilt=np.deg2rad(most_deg))
+    cost = divert_cost(estimate(), end, LANDER, G, shape=shape, limits=limits)
+    assert cost.feasible.all()
+    assert (cost.propellant >= free.propellant * (1.0 - 1e-9)).all()
+    tilts = []
+    for found in (free, cost):
+        for site, time in zip(end.position, found.time_to_go, strict=True):
+            one = PhaseEnd(site, DOWN)
+            path = shape.path(estimate().position, estimate().velocity, one, time)
+            thrust = path.at(np.array([time]))[2][0] + np.array([0.0, 0.0, G])
+            tilts.append(np.rad2deg(np.arctan2(np.hypot(*thrust[:2]), thrust[2])))
+    assert max(tilts[4:]) <= most_deg + 1e-6
+    assert max(tilts[:4]) > 12.0

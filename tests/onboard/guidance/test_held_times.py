@@ -40,7 +40,7 @@ def test_it_is_what_the_path_takes_within_all_limits(law):
             wanted = plain.best(
                 r, v, site, DOWN, np.zeros(3), [time], 24, G, mass, LANDER.exhaust_velocity,
                 LANDER.thrust_min + MARGIN, LANDER.thrust_max - MARGIN, np.tan(LIMITS.max_tilt),
-                np.tan(LIMITS.glideslope), law.shape.powers,
+                np.tan(LIMITS.glideslope), np.tan(LIMITS.max_tilt), law.shape.powers,
             )  # fmt: skip
             burnt = mass * (1.0 - np.exp(-wanted[0] / LANDER.exhaust_velocity))
             held = burnt <= mass - LANDER.dry_mass - LIMITS.reserve

@@ -52,6 +52,15 @@ def test_rotation_times_are_bang_bang_until_the_rate_limit(angle, expected):
     assert limits.time(angle, 1300.0) == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.parametrize("max_rate", [0.2, np.inf])
+def test_the_angle_that_fits_a_time_is_that_of_the_rotation_time(max_rate):
+    lander = Lander()
+    limits = RotationLimits(0.05 * max(lander.inertia(1300.0)[:2]), max_rate, 0.0, lander)
+    for angle in (0.0, 0.1, 0.8, 1.5):
+        assert limits.angle(float(limits.time(angle, 1300.0)), 1300.0) == pytest.approx(angle)
+    assert limits.angle(-1.0, 1300.0) == 0.0
+
+
 def test_the_axis_with_the_largest_inertia_and_the_smallest_torque_limits_rotations():
     lander = Lander(
         inertia_dry=(900.0, 1200.0, 1300.0), inertia_full=(900.0, 1200.0, 1300.0),

@@ -32,6 +32,7 @@ from lunarsim.world import World
 from lunarsim.world.survey import simulate_survey
 from lunarsim.world.terrain import Terrain, hazard_field
 from tests.chance import ratio_bounds
+from tests.lidar_descent import Surveyed
 
 POSITION = np.array([-200.0, 10.0, 150.0])
 ATTITUDE = quat_from_rotation_vector([0.02, -0.05, 0.3])
@@ -102,8 +103,9 @@ def registered(world, seed, stale=0.0):
     """Return the error's estimate, its covariance and the error of one registration."""
     rng = np.random.default_rng(seed)
     prior = simulate_survey(
-        world.terrain, Grid.centred((0.0, 0.0), 120.0, 0.5), rng, sigma=0.1, outdated_fraction=stale
-    )
+        Surveyed.of(world), Grid.centred((0.0, 0.0), 120.0, 0.5), rng, sigma=0.1,
+        outdated_fraction=stale,
+    )  # fmt: skip
     before = np.diag(np.square([0.3, 0.3, 0.3, 1e-3, 1e-3, 1e-3]))
     error = np.sqrt(np.diag(before)) * rng.standard_normal(6)
     scan = scanned(world, rng, rng.uniform(-30.0, 30.0, 2).tolist() + [0.0])
@@ -143,7 +145,7 @@ def test_a_fit_started_far_off_is_right_or_reports_only_the_level(world, stale):
     for seed in range(40):
         rng = np.random.default_rng([seed, 7])
         grid = Grid.centred((0.0, 0.0), 120.0, 0.5)
-        prior = simulate_survey(world.terrain, grid, rng, sigma=0.1, outdated_fraction=stale)
+        prior = simulate_survey(Surveyed.of(world), grid, rng, sigma=0.1, outdated_fraction=stale)
         before = np.diag(np.square([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3]))
         error = np.sqrt(np.diag(before)) * rng.standard_normal(6)
         scan = scanned(world, rng, [*rng.uniform(-40.0, 40.0, 2), 0.0])
@@ -168,7 +170,7 @@ def test_errors_that_are_alike_do_not_make_a_fit_too_sure(world):
     for seed in range(90):
         rng = np.random.default_rng([seed, 8])
         grid = Grid.centred((0.0, 0.0), 120.0, 0.5)
-        prior = simulate_survey(world.terrain, grid, rng, sigma=0.1, correlation=1.5)
+        prior = simulate_survey(Surveyed.of(world), grid, rng, sigma=0.1, correlation=1.5)
         # The map does not specify the correlation of its errors.
         prior = PriorMap(grid, prior.elevation, 0.1)
         before = np.diag(np.square([0.1, 0.1, 0.3, 1e-3, 1e-3, 1e-3]))
@@ -185,7 +187,7 @@ def test_errors_that_are_alike_do_not_make_a_fit_too_sure(world):
 def test_errors_that_a_map_reports_as_correlated_count_as_fewer(world):
     rng = np.random.default_rng(8)
     grid = Grid.centred((0.0, 0.0), 120.0, 0.5)
-    alone = simulate_survey(world.terrain, grid, rng, sigma=0.1)
+    alone = simulate_survey(Surveyed.of(world), grid, rng, sigma=0.1)
     alike = PriorMap(grid, alone.elevation, 0.1, 1.0)
     before = np.diag(np.square([0.05, 0.05, 0.3, 1e-3, 1e-3, 1e-3]))
     scan = scanned(world, rng)
@@ -199,7 +201,7 @@ def test_where_the_place_is_open_slopes_make_the_level_uncertain(world):
     """With a larger position uncertainty, slopes add more height variance."""
     rng = np.random.default_rng(9)
     grid = Grid.centred((0.0, 0.0), 120.0, 0.5)
-    prior = simulate_survey(world.terrain, grid, rng, sigma=0.6)
+    prior = simulate_survey(Surveyed.of(world), grid, rng, sigma=0.6)
     scan = scanned(world, rng)
     information = []
     for far in (1.5, 15.0):

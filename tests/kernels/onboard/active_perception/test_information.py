@@ -86,7 +86,7 @@ def scored(eyes, plans, nodes, vehicle, *, max_final_tilt=0.9, least=45.0):
     return out
 
 
-def both(rng, eyes, plans, *, limits=(60.0, 900.0, 2.7, 0.1), max_final_tilt=0.9, least=45.0):
+def both(rng, eyes, plans, *, limits=(60.0, 900.0, 2.7, 0.1, 2.7), max_final_tilt=0.9, least=45.0):
     nodes = some_nodes(rng)
     vehicle = (G, 200.0, 3050.0, *limits)
     wanted = plain.score(
@@ -157,7 +157,9 @@ def test_terrain_above_the_lander_is_not_seen():
     heights = (500.0, 700.0)
     for up in heights:
         node = {"at": np.array([-150.0, 20.0, up]), "weight": 1.0, "known": 0.1, "needs": 0.0}
-        out = scored([eye], some_plans(rng, 60), [node], (G, 200.0, 3050.0, 60.0, 900.0, 2.7, 0.1))
+        out = scored(
+            [eye], some_plans(rng, 60), [node], (G, 200.0, 3050.0, 60.0, 900.0, 2.7, 0.1, 2.7)
+        )
         good = np.isfinite(out[:, 1])
         assert good.any()
         np.testing.assert_allclose(out[good, 0], 0.1)
@@ -167,7 +169,7 @@ def test_without_observations_nothing_is_known():
     rng = np.random.default_rng(2)
     eye = an_eye(rng)
     node = {"at": np.zeros(3), "weight": 0.0, "known": 0.4, "needs": 0.0}
-    vehicle = (G, 200.0, 3050.0, 60.0, 900.0, 2.7, 0.1)
+    vehicle = (G, 200.0, 3050.0, 60.0, 900.0, 2.7, 0.1, 2.7)
     out = scored([eye], some_plans(rng, 20), [node], vehicle)
     assert (out[:, 0] == 0.0).all()
     assert np.isfinite(out[:, 1]).any()
@@ -187,5 +189,5 @@ def test_bits_do_not_depend_on_threads():
     results = []
     for threads in (1, numba.config.NUMBA_NUM_THREADS):
         numba.set_num_threads(threads)
-        results.append(scored(eyes, plans, nodes, (G, 200.0, 3050.0, 60.0, 900.0, 2.7, 0.1)))
+        results.append(scored(eyes, plans, nodes, (G, 200.0, 3050.0, 60.0, 900.0, 2.7, 0.1, 2.7)))
     np.testing.assert_array_equal(*results)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lunarsim.errors import InputError
@@ -25,6 +25,7 @@ def samples(seed: int, n: int = 120):
     return points, rng.uniform(0.01, 0.1, n)
 
 
+@settings(max_examples=5)
 @given(st.integers(0, 1000), st.sampled_from([0.0, -700.0, 4000.0]))
 def test_sums_are_those_of_a_plain_loop(seed, level):
     scans = []
