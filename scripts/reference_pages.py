@@ -202,7 +202,7 @@ def _table_section(table: Table) -> str:
     for group in table.groups:
         first, last = group.names[0], group.names[-1]
         names = [f"`{name}`" for name in group.names]
-        shown = ", ".join(names) if len(names) < 5 else f"`{first}` ... `{last}`"
+        shown = ", ".join(names) if len(names) < 6 else f"`{first}` ... `{last}`"
         frame = re.split("[,:]", group.frame)[0]
         rows += f"| {shown} | {group.unit} | {frame} | {group.meaning} |\n"
     return f"\n## {table.name}\n\n{table.rows[0].upper()}{table.rows[1:]}; {dtype}.\n\n{rows}"

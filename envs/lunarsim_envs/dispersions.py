@@ -14,8 +14,9 @@ from lunarsim.scenario.files import read_toml
 
 # Number of random episodes whose values are checked when an environment is created.
 _CHECKED_EPISODES = 1000
-# Tables that an environment reads once, not per episode.
-_READ_ONCE = ("site_reward", "domain_randomization", "record")
+# Tables that have no effect per episode: an environment reads them once, or the agent replaces
+# them.
+_NO_EFFECT = ("site_reward", "domain_randomization", "record", "policy")
 
 
 def dispersions_argument(source: Any, scenario: Scenario) -> Dispersions | None:
@@ -55,10 +56,10 @@ def dispersions_argument(source: Any, scenario: Scenario) -> Dispersions | None:
     made = build_dispersions(tables, "monte-carlo", 0, _CHECKED_EPISODES)
     for key in made.distributions:
         table = key.partition(".")[0]
-        if table in _READ_ONCE:
+        if table in _NO_EFFECT:
             raise InputError(
                 f"dispersions.{key}", None,
-                f"must not be a key of [{table}], which is the same in all episodes",
+                f"must not be a key of [{table}], which has no effect per episode",
                 show_value=False,
             )  # fmt: skip
     check_dispersions(made, [scenario], {}, _CHECKED_EPISODES)

@@ -23,9 +23,11 @@ def main() -> None:
     axes = figure.subplots(2, len(MISSIONS), sharex="col", height_ratios=(2, 1))
     for (heights, errors), mission in zip(axes.T, MISSIONS, strict=True):
         for arm, colour in (("no fault", COLOURS[0]), ("failure", COLOURS[1])):
-            flight = Simulation(scenario_of(mission, arm), _SEED, "no-divert").run()
+            simulation = Simulation(scenario_of(mission, arm), _SEED, "no-divert")
+            flight = simulation.run()
             path = flight.trajectory
-            true = path["position_z"] - flight.target[2]
+            # The elevation in `flight.target` is the one that the onboard computer knows.
+            true = path["position_z"] - simulation.world.terrain.elevation(flight.target[None, :2])
             known = path["estimated_z"] - path["site_z"]
             heights.plot(path["time"], true, color=colour, label=f"{arm}, true")
             heights.plot(path["time"], known, color=colour, linestyle=":", label=f"{arm}, estimate")

@@ -199,6 +199,7 @@ def test_the_environment_keeps_the_interface_of_gymnasium():
         ({SIZE: 3.0}, f"dispersions.{SIZE}"),
         ({"site_reward.safe": FAULTS[SIZE]}, "dispersions.site_reward.safe"),
         ({"domain_randomization.payload_kg": FAULTS[SIZE]}, "dispersions.domain_randomization"),
+        ({"policy": {"kind": "choice", "values": ["safest", "no-divert"]}}, "dispersions.policy"),
         ({}, "dispersions"),
         ("missing.toml", "dispersions"),
         (3, "dispersions"),
@@ -214,6 +215,16 @@ def test_an_option_of_reset_that_is_drawn_is_refused():
     env = env_with({"rocks.cover": {"kind": "uniform", "low": 0.01, "high": 0.02}})
     with pytest.raises(InputError, match=r"options\.cover: must be omitted, because dispersions"):
         env.reset(seed=1, options={"cover": 0.05})
+    env = env_with({"start.velocity_m_s.2": {"kind": "uniform", "low": -10.0, "high": -9.0}})
+    with pytest.raises(InputError, match=r"options\.velocity_m_s: must be omitted"):
+        env.reset(seed=1, options={"velocity_m_s": [8.0, 0.0, -9.0]})
+
+
+def test_options_of_reset_and_drawn_values_act_together():
+    env = env_with()
+    _, info = env.reset(seed=1, options={"cover": 0.02})
+    assert env.simulation.scenario.rocks.cover == 0.02
+    assert env.simulation.scenario.sensor_faults["high"].make().size == info["dispersions"][SIZE]
 
 
 @pytest.mark.parametrize(

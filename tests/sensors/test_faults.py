@@ -270,8 +270,8 @@ def test_starts_and_ends_are_events_and_seeds_repeat():
         np.testing.assert_array_equal(column, second.trajectory[name])
 
 
-def test_faults_that_never_start_change_no_bit():
-    never = {"start_s": 1e4}
+@pytest.mark.parametrize("never", [{"start_s": 1e4}, {"start_s": 0.0, "occurs": False}])
+def test_faults_that_never_start_or_do_not_occur_change_no_bit(never):
     faults = {
         f"{sensor}-{kind}": {"sensor": sensor, "kind": kind, **never}
         for sensor, kinds in {

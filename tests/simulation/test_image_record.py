@@ -22,6 +22,7 @@ from lunarsim.messages.measurements import CameraImage
 from lunarsim.models.camera import CameraModel
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.scenario_warnings import warnings_for
+from lunarsim.sensors.framing_camera import FramingCamera
 from lunarsim.simulation import Flight, Simulation
 from lunarsim.simulation.checkpoint import Checkpoint
 from lunarsim.simulation.columns import SCHEMA_VERSION
@@ -34,7 +35,7 @@ CAMERAS = {
     "wide": {"kind": "camera", "width": 64, "height": 48, "exposure_control": "auto"},
     "deep": {
         "kind": "camera", "width": 40, "height": 40, "bits": 12,
-        "distortion": [-0.05, 0.0, 0.0, 0.0, 0.0],
+        "distortion": [-0.05, 0.01, 0.002, -0.001, 0.003],
     },
 }  # fmt: skip
 
@@ -119,7 +120,13 @@ def test_the_table_has_exposure_and_geometry_with_units(flown):
     assert list(wide["exposure"][: len(given)]) == given
     assert wide["exposure"].nunique() > 1  # automatic exposure
     assert (deep["exposure"] == 2e-3).all()
-    assert (deep["k1"] == -0.05).all() and (deep["fx"] == frames["deep"][0].camera.fx).all()
+    lens = {"k1": -0.05, "k2": 0.01, "p1": 0.002, "p2": -0.001, "k3": 0.003}  # OpenCV's order
+    for name, value in lens.items():
+        assert (deep[name] == value).all() and (wide[name] == 0.0).all()
+    focal = frames["wide"][0].camera.fx
+    pinhole = {"fx": focal, "fy": focal, "cx": 31.5, "cy": 23.5}
+    for name, value in pinhole.items():
+        assert (wide[name] == value).all()
     assert (wide["width"] == 64).all() and (wide["height"] == 48).all()
     metadata = pq.read_schema(folder / "images.wide.parquet").metadata
     assert metadata[b"unit:position_x"] == b"m"
@@ -133,6 +140,18 @@ def test_images_are_not_recorded_by_default_and_do_not_change_the_flight(flown):
     assert plain.images == {} and plain.readings == flight.readings == {}
     for name, column in plain.trajectory.items():
         assert np.array_equal(column, flight.trajectory[name])
+
+
+def test_a_record_of_measurements_has_no_images():
+    settings = scenario(seconds=0.5).changed(record={"images": False, "measurements": True})
+    flight = Simulation(settings, 5, "no-divert").run()
+    assert flight.images == {} and "imu" in flight.readings
+
+
+def test_images_of_a_camera_with_is_recorded_are_always_recorded(monkeypatch):
+    monkeypatch.setattr(FramingCamera, "is_recorded", True, raising=False)
+    flight = Simulation(scenario(images=False, seconds=0.5), 5, "no-divert").run()
+    assert set(flight.images) == set(CAMERAS) and flight.readings == {}
 
 
 def test_images_survive_a_checkpoint(flown):

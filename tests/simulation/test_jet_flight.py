@@ -63,6 +63,18 @@ def test_thrusters_land_it(landed):
     assert np.hypot(*(simulation.estimate.position - simulation.site)[:2]) < 2.0
 
 
+def test_a_thruster_fault_that_does_not_occur_changes_no_bit(small):
+    tables = {"vehicle": JETS, "control": PHASE_PLANE, "simulation": {"max_time_s": 1.0}}
+    stuck = {"jets_stuck_open": [0]}
+    plain, with_fault, absent = (
+        flown(small, **tables, **more)[1].trajectory
+        for more in ({}, {"faults": stuck}, {"faults": stuck | {"occurs": False}})
+    )
+    assert not np.array_equal(with_fault["rate_x"], plain["rate_x"])
+    for name, column in plain.items():
+        assert np.array_equal(absent[name], column), name
+
+
 def test_every_kilogramme_is_counted(landed):
     simulation, flight, _ = landed
     actuators, thrusters = simulation.plant.actuators, simulation.lander.thrusters
