@@ -18,7 +18,7 @@ LINKS = re.findall(r"\]\((?!https?:)([^)#]+)(?:#([^)]+))?\)", TEXT)
 def defined_tests(source):
     """Return whether each test function is marked slow, by name, without an import."""
     return {
-        node.name: any("mark.slow" in ast.unparse(one) for one in node.decorator_list)
+        node.name: any(ast.unparse(one) == "pytest.mark.slow" for one in node.decorator_list)
         for node in ast.parse(source).body
         if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")
     }
