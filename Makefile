@@ -33,7 +33,7 @@ results: $(STAMP)       ## the tables of docs/validation that come from docs/res
 
 # The tutorials are executed side by side into the cache that Sphinx reads.
 # The longest tutorials first, so that both processes end at about the same time.
-LONGEST := $(addprefix docs/tutorials/,guidance-law.md papers.md campaign.md p-safe.md)
+LONGEST := $(addprefix docs/tutorials/,guidance-law.md papers.md campaign.md p-safe.md own-terrain.md)
 TUTORIALS := $(LONGEST) $(filter-out %/index.md $(LONGEST),$(wildcard docs/tutorials/*.md))
 CACHE := -p $(OUT)/.jupyter_cache
 
@@ -41,7 +41,7 @@ docs: $(STAMP)          ## the site, in out/docs/index.html
 	mkdir -p $(OUT)
 	echo y | $(BIN)/jcache notebook $(CACHE) add -r myst_nb_md $(TUTORIALS)
 	$(BIN)/jcache project $(CACHE) execute -e local-parallel -t 600
-	$(BIN)/python -m sphinx -W -n --keep-going -b html docs $(OUT)/docs
+	$(BIN)/python -m sphinx -W -n --keep-going -j auto -b html docs $(OUT)/docs
 	@echo "Site: $(OUT)/docs/index.html"
 
 lock:                   ## the tested versions of dependencies (without PyTorch), and their licences

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import lunarsim
 
 project = "lunarsim"
@@ -34,3 +36,8 @@ numpydoc_show_class_members = False
 numpydoc_xref_param_type = False
 # Only names of this package are looked up: the index of no other is asked for over the network.
 nitpick_ignore_regex = [("py:.*", r"(?!lunarsim\.).*")]
+
+
+def setup(app: Any) -> None:
+    """Let Sphinx read pages in parallel: an extension does not say that it is safe, but is."""
+    app.extensions["sphinx-mathjax-offline"].parallel_read_safe = True
