@@ -144,6 +144,19 @@ def test_a_weak_lander_ends_its_approach_upright_and_on_its_site(blind):
     assert 1.0 - 2.0 * (x * x + y * y) > np.cos(np.deg2rad(6.0))
 
 
+def test_the_tilt_limit_near_the_end_leaves_time_to_rotate_upright(blind):
+    simulation = Simulation(blind, 3, "no-divert")
+    evaluator = simulation.computer.site_evaluator
+    slow = replace(evaluator.rotation_limits, torque=20.0)
+    evaluator.rotation_limits = slow
+    limits, mass = evaluator.path_limits, 1400.0
+    assert evaluator.max_tilt(0.0, mass) == limits.max_final_tilt < limits.max_tilt
+    for time in (1.0, 3.0):
+        turn = evaluator.max_tilt(time, mass) - limits.max_final_tilt
+        assert float(slow.time(turn, mass)) == pytest.approx(time)
+    assert evaluator.max_tilt(60.0, mass) == limits.max_tilt
+
+
 def test_a_time_scale_leaves_time_for_the_first_rotation(blind):
     """At 0.5 of the time-to-go, a strong lander has a path, but a weak one rotates too slowly."""
     simulation = Simulation(blind, 3, "no-divert")
