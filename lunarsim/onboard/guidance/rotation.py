@@ -129,7 +129,11 @@ class RotationLimits:
 
         This is the inverse of the method `time`; `mass` is that of the lander, kg.
         """
-        a, w, time = self.acceleration(mass), self.max_rate, max(time, 0.0)
+        a, w = self.acceleration(mass), self.max_rate
+        if time <= 0.0:
+            return 0.0
+        if not np.isfinite(a):
+            return w * time
         return 0.25 * a * time**2 if time <= 2.0 * w / a else w * (time - w / a)
 
     def min_time_to_go(self, rotation: Array, mass: float, shape: PathShape) -> Array:

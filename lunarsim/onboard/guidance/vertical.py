@@ -237,13 +237,15 @@ class VerticalDescent:
         """Return the maximum tilt at the end of the approach, at most `max_tilt`.
 
         From this tilt, a lander of a mass (kg) without horizontal velocity stops within a distance
-        `shift`, m. Angles are in rad.
+        `shift`, m. The result is not below the maximum tilt at touchdown, as long as this is below
+        `max_tilt`. Angles are in rad.
         """
-        for tilt in np.linspace(max_tilt, 0.0, 1 + round(np.rad2deg(max_tilt))):
+        smallest = min(self.max_tilt_at_touchdown, max_tilt)
+        for tilt in np.linspace(max_tilt, smallest, 1 + round(np.rad2deg(max_tilt - smallest))):
             pull = np.array([self.gravity * np.tan(tilt), 0.0])
             if self._stopping_shift(np.zeros(2), pull, float(tilt), mass)[0] <= shift:
                 return float(tilt)
-        return 0.0
+        return smallest
 
     def _stopping_shift(
         self, velocity: Array, acceleration: Array, tilt: float, mass: float

@@ -81,6 +81,9 @@ def test_ideal_attitude_control_rotates_at_its_rate_limit():
     limits = RotationLimits.of(Lander(), IdealAttitude(slew_limit=0.2))
     with np.errstate(all="raise"):
         assert limits.time(np.array([0.0, 0.5]), 1300.0) == pytest.approx([0.0, 2.5])
+        assert [limits.angle(t, 1300.0) for t in (-1.0, 0.0, 2.5)] == [0.0, 0.0, 0.5]
+        free = RotationLimits(np.inf, np.inf, 0.0, Lander())
+        assert [free.angle(t, 1300.0) for t in (0.0, 2.5)] == [0.0, np.inf]
 
 
 def test_the_phase_plane_uses_the_weakest_axis_and_half_of_it_to_brake():

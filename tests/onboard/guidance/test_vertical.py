@@ -189,7 +189,8 @@ def test_a_slow_rotation_shifts_the_stop_by_a_double_integral():
         assert law.can_reach(replace(state, attitude=back), GROUND) == reaches
     assert tilt - np.deg2rad(1.1) < law.max_final_tilt(1300.0, 1.0, 1.001 * stop) <= tilt
     assert law.max_final_tilt(1300.0, 0.1, 1e6) == pytest.approx(0.1)
-    assert law.max_final_tilt(1300.0, 0.1, 0.0) == 0.0
+    assert law.max_final_tilt(1300.0, 0.1, 0.0) == pytest.approx(np.deg2rad(2.0))
+    assert law.max_final_tilt(1300.0, 0.01, 0.0) == 0.01
 
 
 @pytest.mark.parametrize("max_tilt", [12.0, 50.0])
