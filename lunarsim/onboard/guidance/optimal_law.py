@@ -7,7 +7,8 @@ available at a penalty that is high enough to avoid its use if another path exis
 the throttle range are reserved in this way: without any reserve, a late-braking path cannot correct
 errors. Deadlines count solver iterations, never a clock, so that flights are reproducible: a plan
 with too many iterations is late. If no plan is in time, none exists even with full thrust, or the
-path violates the thrust limits, the Apollo law flies until the next plan.
+path violates the thrust limits, the Apollo law flies until the landing site changes. Plans that
+fail and succeed alternately would use far more propellant.
 """
 
 from __future__ import annotations
@@ -180,12 +181,9 @@ class OptimalGuidance:
         )
         if is_divert:
             self.arrival = time + time_to_go  # the onboard computer's estimate for the new site
-        is_terminal = self.arrival - time < self.settings.min_time_to_go
-        if (
-            is_divert
-            or (time >= self._next_plan_time - 1e-9 and not is_terminal)
-            or self._end is None
-        ):
+        keeps_plan = self._is_fallback or self.arrival - time < self.settings.min_time_to_go
+        is_due = time >= self._next_plan_time - 1e-9 and not keeps_plan
+        if is_divert or is_due or self._end is None:
             self._end, self._next_plan_time = end, time + self.settings.interval
             self._replan(estimate, end, time, ignore_last=is_divert)
         if self._plan is None:
@@ -308,7 +306,7 @@ class OptimalGuidance:
     def _fall_back(
         self, estimate: Estimate, end: PhaseEnd, time: float, reason: str, iterations: int
     ) -> None:
-        """Drop the plan and switch to the Apollo law until the next plan succeeds.
+        """Drop the plan and switch to the Apollo law until the landing site changes.
 
         If that law does not fly already, an event with `reason` and the number of solver
         `iterations` is recorded, and the arrival time becomes that of the law's minimum-propellant

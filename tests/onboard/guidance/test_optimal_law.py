@@ -288,6 +288,24 @@ def test_a_plan_that_breaks_the_limits_of_thrust_is_not_flown(monkeypatch):
     ]
 
 
+def test_after_a_fallback_it_plans_again_only_for_another_site(monkeypatch):
+    flight = OptimalLaw(intervals=10).build(BRIEFING, 0.0)
+    flight.command(estimate(), END, 0.0, 34.0)
+    assert flight.plans == 1
+    search = optimal_law.search_near
+    monkeypatch.setattr(optimal_law, "search_near", lambda *given, **more: None)
+    flight.command(estimate(R + V, V, time=1.0), END, 1.0, 33.0)
+    monkeypatch.setattr(optimal_law, "search_near", search)
+    for t in (2.0, 3.0, 4.0):
+        flight.command(estimate(R + t * V, V, time=t), END, t, 34.0 - t)
+    assert flight.plans == 1
+    other = replace(END, position=END.position + [2.0, 0.0, 0.0])
+    flight.command(estimate(R + 4.1 * V, V, time=4.1), other, 4.1, 29.9)
+    flight.command(estimate(R + 5.1 * V, V, time=5.1), other, 5.1, 28.9)
+    assert flight.plans == 3
+    assert [name for _, name, _ in flight.events] == ["guidance-fallback", "guidance-planned"]
+
+
 def test_apollo_takes_over_from_a_plan_too(monkeypatch):
     """A plan that was made before is flown no further: it told what was to be then."""
     flight = OptimalLaw(intervals=10).build(BRIEFING, 0.0)
