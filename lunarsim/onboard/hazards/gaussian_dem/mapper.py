@@ -34,9 +34,6 @@ from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import footprint_of, plane_stochastic_safety, stochastic_safety
 from lunarsim.typing import Array
 
-# A height offset of a scan is corrected if it exceeds this many standard deviations and this
-# height, m.
-_MIN_OFFSET_SIGMAS, _MIN_OFFSET_M = 5.0, 0.01
 SafetyTest = Literal["calibrated", "level", "planes"]
 
 
@@ -193,7 +190,7 @@ class GaussianDemMapper(HazardMapper):
         measurement.check(estimate.position, estimate.attitude)
         points = measurement.points(estimate.position, estimate.attitude)
         early = self._unleveled.includes(estimate.tilt_sigma)
-        self._align_heights_to(points)
+        self._align_to(points)
         taken = (self._provisional if early else self._samples).add(
             points,
             measurement.height_sigma(estimate.attitude),
@@ -201,20 +198,20 @@ class GaussianDemMapper(HazardMapper):
         )
         self._is_outdated |= taken > 0
 
-    def _align_heights_to(self, points: Array) -> None:
-        """Shift all stored samples to the height of a new scan if the offset is large.
+    def _align_to(self, points: Array) -> None:
+        """Shift the map and all stored samples to the position of a new scan.
 
-        `points` (n, 3) are the new scan, local frame, m. The offset must be statistically
-        significant. The estimated height of the lander drifts by decimetres between scans. Samples
-        at two heights would look like steps all over the map. The newest scan defines the height,
-        because guidance uses it.
+        `points` (n, 3) are the new scan, local frame, m. Only significant offsets are corrected.
+        Samples at two heights would look like steps all over the map, and rocks at two places like
+        wider and lower rocks. The newest scan defines the position, because guidance uses it.
         """
-        found = self.pool.height_offset(points)
-        if found is None or abs(found[0]) < max(_MIN_OFFSET_SIGMAS * found[1], _MIN_OFFSET_M):
+        found = self.pool.offset(points)
+        if found is None or not found.shift.any():
             return
         self._samples, self._provisional = (
-            one.shifted_up(found[0]) for one in (self._samples, self._provisional)
+            one.shifted(found.shift) for one in (self._samples, self._provisional)
         )
+        self.grid = self._samples.grid
 
     @property
     def pool(self) -> SamplePool:

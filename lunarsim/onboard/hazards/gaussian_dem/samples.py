@@ -20,6 +20,7 @@ from lunarsim.onboard.hazards.gaussian_dem.conventional import (
     check_points,
     finite_rows,
 )
+from lunarsim.onboard.hazards.gaussian_dem.scan_alignment import ScanOffset, scan_offset
 from lunarsim.onboard.hazards.map_tilt_correction import rotate_about
 from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.value_checks import as_real_array, check_finite, check_shape
@@ -28,11 +29,6 @@ from lunarsim.value_checks import as_real_array, check_finite, check_shape
 _MAX_LENGTH_M = 1e4
 # Minimum standard deviation of a height, m, whatever the sensor states.
 _MIN_SIGMA_M = 1e-4
-# Minimum number of new points in cells with stored samples for the height offset of a scan.
-_MIN_SHARED_POINTS = 30
-# Ratio of the standard deviation to the median absolute deviation of normal values, and ratio of
-# the standard errors of their median and mean.
-_MAD_TO_SIGMA, _MEDIAN_TO_MEAN_ERROR = 1.4826, 1.2533
 
 
 class SamplePool:
@@ -116,34 +112,26 @@ class SamplePool:
         self.base = base if call_weight.any() else self.base
         return int(count)
 
-    def height_offset(self, points: ArrayLike) -> tuple[float, float] | None:
-        """Estimate the height offset of new points from the stored samples in their cells.
+    def offset(self, points: ArrayLike) -> ScanOffset | None:
+        """Estimate the offset of new points from the stored samples.
 
-        The result is the median difference (new minus stored) and its standard error, m; None if
-        fewer than 30 new points are in cells with stored samples. The position of the points within
-        a cell contributes differences of either sign.
+        None if fewer than 30 new points are in cells with stored samples.
 
         Parameters
         ----------
         points
             East, north, up (n, 3), m; rows with NaN are ignored.
         """
-        cloud = np.asarray(points, dtype=np.float64)
-        cloud = cloud[np.isfinite(cloud).all(axis=1)]
-        (row, col), keep = _cells(self.grid, cloud)
-        known = self.centroid[row, col]
-        both = known[:, 0] > 0.0
-        if np.count_nonzero(both) < _MIN_SHARED_POINTS or self.base is None:
+        if self.base is None:
             return None
-        difference = cloud[keep][both, 2] - self.base - known[both, 3] / known[both, 0]
-        median = float(np.median(difference))
-        spread = _MAD_TO_SIGMA * float(np.median(np.abs(difference - median)))
-        return median, _MEDIAN_TO_MEAN_ERROR * spread / float(np.sqrt(len(difference)))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            stored = self.base + self.splat[..., 2] / self.splat[..., 1]
+        return scan_offset(stored, self.grid, points)
 
-    def shifted_up(self, height: float) -> SamplePool:
-        """Return the same samples shifted up by a height, m; arrays are not copied."""
-        out = SamplePool(self.grid)
-        out.base = None if self.base is None else self.base + height
+    def shifted(self, by: Array) -> SamplePool:
+        """Return the same samples and grid shifted by (3,), m; arrays are not copied."""
+        out = SamplePool(self.grid.moved(by))
+        out.base = None if self.base is None else self.base + float(by[2])
         out.centroid, out.splat, out.spacing = self.centroid, self.splat, self.spacing
         return out
 

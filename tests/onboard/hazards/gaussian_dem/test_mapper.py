@@ -333,24 +333,23 @@ def test_samples_of_a_tilt_that_is_not_known_are_raised_too(early):
     mapper = GaussianDemMapper(GRID, Lander())
     flash(mapper, tilt_sigma=1.0 if early else 1e-6)
     flash(mapper, east=0.11, tilt_sigma=1e-6, up=0.5)
-    rise, sigma = mapper.pool.height_offset(np.array([[0.1 * k, 0.2, 0.5] for k in range(-30, 30)]))
-    assert abs(rise) < 1e-6
-    assert sigma < 1e-6
+    offset = mapper.pool.offset(np.array([[0.1 * k, 0.2, 0.5] for k in range(-30, 30)]))
+    assert np.all(offset.shift == 0.0)
+    assert offset.height_sigma < 1e-6
 
 
-def test_the_height_of_points_is_the_median_over_cells_that_have_samples():
+def test_the_height_offset_is_the_median_over_cells_that_have_samples():
     rng = np.random.default_rng(2)
     pool = SamplePool(GRID)
-    assert pool.height_offset(rng.normal(size=(99, 3))) is None
-    xy = rng.uniform(-3.5, 3.5, (400, 2))
-    pool.add(np.column_stack((xy, np.zeros(400))), 0.01, 0.3)
+    assert pool.offset(rng.normal(size=(99, 3))) is None
+    xy = rng.uniform(-3.5, 3.5, (4000, 2))
+    pool.add(np.column_stack((xy, np.zeros(4000))), 0.01, 0.3)
     z = rng.normal(0.25, 0.02, 300)
     z[:60] += 3.0
     points = np.column_stack((rng.uniform(-3.5, 3.5, (300, 2)), z))
-    rise, sigma = pool.height_offset(np.vstack((points, [[np.nan, 0.0, 0.0], [90.0, 0.0, 0.0]])))
-    rows, cols = GRID.cell(points[:, :2])
-    known = pool.centroid[rows, cols, 0] > 0.0
-    assert rise == pytest.approx(np.median(z[known]))
-    assert sigma == pytest.approx(1.2533 * 0.02 / np.sqrt(known.sum()), rel=0.7)
-    assert pool.height_offset(points[:20]) is None
-    assert pool.shifted_up(0.3).height_offset(points)[0] == pytest.approx(rise - 0.3)
+    offset = pool.offset(np.vstack((points, [[np.nan, 0.0, 0.0], [90.0, 0.0, 0.0]])))
+    assert offset.shift == pytest.approx([0.0, 0.0, np.median(z)])
+    assert offset.height_sigma == pytest.approx(1.2533 * 0.02 / np.sqrt(300), rel=0.7)
+    assert pool.offset(points[:20]) is None
+    moved = pool.shifted(np.array([0.3, -0.1, 0.2])).offset(points + [0.3, -0.1, 0.0])
+    assert moved.shift == pytest.approx(offset.shift - [0.0, 0.0, 0.2])
