@@ -329,11 +329,15 @@ class OnboardComputer:
         if not taking:
             return
         after = self.navigation.estimate(self.time, self.mass)
+        before = None if self.mapper is None else self.mapper.displacement
         for name in taking:
             self.mappers[name].update_from_sensor(
                 sensor, *self.navigation.correct_measurement(sensor, measurement, after)
             )
             self.updated_mappers.add(name)
+        is_on_map = bool(self.diverts) and self.phase != Phase.VERTICAL
+        if is_on_map and before is not None and self.mapper is not None:
+            self.site = self.site + (self.mapper.displacement - before)
         self.updated_mappers |= {
             n for n, m in self.mappers.items() if m.source_mappers & self.updated_mappers
         }

@@ -126,6 +126,14 @@ class HazardMapper(ABC):
         return None
 
     @property
+    def displacement(self) -> Array:
+        """Sum of all shifts (3,) of mapped terrain to the positions of newer scans, m.
+
+        Sites that were chosen on the map move with it. The default is zero.
+        """
+        return np.zeros(3)
+
+    @property
     def source_mappers(self) -> frozenset[str]:
         """Names of the mappers that this mapper fuses; empty if it maps measurements."""
         return frozenset()

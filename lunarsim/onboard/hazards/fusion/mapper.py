@@ -262,6 +262,12 @@ class FusedMapper(HazardMapper):
         return frozenset((*self._mappers, *self._calibration_mapper))
 
     @property
+    def displacement(self) -> Array:
+        """Sum of all shifts (3,) of mapped terrain, m: that of the first mapper that moves."""
+        found = (mapper.displacement for mapper in self._mappers.values())
+        return next((by for by in found if by.any()), np.zeros(3))
+
+    @property
     def grid(self) -> Any:
         """Cells of the map."""
         return self.hazard_map().grid

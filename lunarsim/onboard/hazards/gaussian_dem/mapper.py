@@ -176,6 +176,7 @@ class GaussianDemMapper(HazardMapper):
         self.rocks = RockExpectation.or_default(rocks)
         self._samples, self._provisional = SamplePool(grid), SamplePool(grid)
         self._unleveled = UnleveledScans()
+        self._displacement = np.zeros(3)
         self._map: HazardMap | DemSnapshot = HazardMap.unobserved(grid)
         self._timer, self._is_outdated = MapUpdateTimer(interval), False
 
@@ -212,6 +213,13 @@ class GaussianDemMapper(HazardMapper):
             one.shifted(found.shift) for one in (self._samples, self._provisional)
         )
         self.grid = self._samples.grid
+        self._displacement = self._displacement + found.shift
+        self._timer.force_update()
+
+    @property
+    def displacement(self) -> Array:
+        """Sum of all shifts (3,) of the samples to the positions of newer scans, m."""
+        return self._displacement
 
     @property
     def pool(self) -> SamplePool:

@@ -10,6 +10,10 @@ from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper, SamplePool
 from lunarsim.onboard.navigation import Estimate
+from lunarsim.onboard.phases import Phase
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from tests.worlds import TINY_FLIGHT
 
 FINE = Grid.centred((0.0, 0.0), 8.0, 0.2)
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
@@ -81,3 +85,31 @@ def test_the_map_moves_to_the_position_of_the_newest_scan():
     points, _, _ = mapper.pool.vertices()
     true = rock_terrain(points[:, :2] - shift[:2]) + shift[2]
     assert np.median(np.abs(points[:, 2] - true)) < 0.02
+
+
+def test_a_site_that_was_chosen_on_the_map_moves_with_it(monkeypatch):
+    scenario = Scenario.from_dict({**TINY_FLIGHT, "decisions": {"last_altitude_m": 60.0}})
+    flight = Simulation(scenario, 3, "safest")
+    computer, scans = flight.computer, []
+    monkeypatch.setattr(
+        GaussianDemMapper, "displacement",
+        property(lambda self: np.array([0.1, -0.2, 0.0]) * len(scans)),
+    )  # fmt: skip
+    update = GaussianDemMapper.update
+
+    def take(self, measurement, estimate):
+        update(self, measurement, estimate)
+        scans.append(measurement.time)
+
+    monkeypatch.setattr(GaussianDemMapper, "update", take)
+    moved = []
+    while flight.outcome is None:
+        before, count, diverts = computer.site, len(scans), len(computer.diverts)
+        flight.step()
+        if len(computer.diverts) == diverts and computer.phase == Phase.APPROACH:
+            scanned = len(scans) - count
+            expected = np.array([0.1, -0.2]) * scanned * (diverts > 0)
+            assert (computer.site - before)[:2] == pytest.approx(expected, abs=1e-9)
+            moved.append(scanned * (diverts > 0))
+    assert sum(moved) > 0
+    assert computer.diverts
