@@ -263,7 +263,7 @@ class FusedMapper(HazardMapper):
 
     @property
     def displacement(self) -> Array:
-        """Sum of all shifts (3,) of mapped terrain, m: that of the first mapper that moves."""
+        """Sum of all shifts (3,) of mapped terrain, m, by the first mapper that moves."""
         found = (mapper.displacement for mapper in self._mappers.values())
         return next((by for by in found if by.any()), np.zeros(3))
 
