@@ -95,7 +95,8 @@ class LidarScan:
     mount
         Rotation (3, 3), sensor to body, as measured by the gimbal.
     sigma
-        Standard deviation of each range (rows * cols,), m.
+        Standard deviation of each range as stated by the sensor (rows * cols,), m. It includes
+        noise and rounding, but no false returns.
     shape
         Rows and columns of the detector.
     """

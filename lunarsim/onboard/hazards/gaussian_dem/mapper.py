@@ -19,6 +19,7 @@ from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import DemSnapshot
 from lunarsim.onboard.hazards.gaussian_dem.pooled import PooledDem, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.hazards.hazard_map import HazardMap, TerrainSurface
+from lunarsim.onboard.hazards.isolated_returns import without_isolated_returns
 from lunarsim.onboard.hazards.map_evidence import TerrainEvidence
 from lunarsim.onboard.hazards.map_tilt_correction import UnleveledScans
 from lunarsim.onboard.hazards.map_update_timer import MapUpdateTimer
@@ -183,7 +184,7 @@ class GaussianDemMapper(HazardMapper):
         self._timer, self._is_outdated = MapUpdateTimer(interval), False
 
     def update(self, measurement: LidarScan, estimate: Estimate) -> None:
-        """Add a scan taken at the estimated pose; ignore a scan without returns.
+        """Add a scan taken at the estimated pose; ignore isolated returns and empty scans.
 
         Raises
         ------
@@ -191,13 +192,14 @@ class GaussianDemMapper(HazardMapper):
             If the scan or the pose is invalid, as in `LidarScan.check`.
         """
         measurement.check(estimate.position, estimate.attitude)
-        points = measurement.points(estimate.position, estimate.attitude)
+        scan = without_isolated_returns(measurement, estimate.attitude)
+        points = scan.points(estimate.position, estimate.attitude)
         early = self._unleveled.includes(estimate.tilt_sigma)
         self._align_heights_to(points)
         taken = (self._provisional if early else self._samples).add(
             points,
-            measurement.height_sigma(estimate.attitude),
-            measurement.spacing(estimate.attitude),
+            scan.height_sigma(estimate.attitude),
+            scan.spacing(estimate.attitude),
         )
         self._is_outdated |= taken > 0
 
