@@ -194,8 +194,8 @@ class FlashLidar:
         """Return the calibration of the LiDAR for the onboard computer.
 
         It consists of the gimbal limit, the standard deviations of the constant errors, the pixel
-        angle, the field of view, and the limits of range and incidence. The biases with names that
-        end in ``_bias`` are not part of it.
+        angle, the field of view, the limits of range and incidence, and the divergence. The biases
+        with names that end in ``_bias`` are not part of it.
         """
         spread = (
             self.half_fov_tangent
@@ -205,7 +205,7 @@ class FlashLidar:
         return LidarInstrument(
             self.gimbal_limit, self.range_sigma, self.boresight_sigma, self.latency_sigma,
             2.0 * float(spread) / min(self.rows, self.cols), self.half_fov_tangent, self.max_range,
-            self.max_incidence,
+            self.max_incidence, self.divergence,
         )  # fmt: skip
 
     def stated_sigma(self, distance: ArrayLike) -> Array:

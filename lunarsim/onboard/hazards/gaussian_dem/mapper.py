@@ -123,6 +123,7 @@ class GaussianDemMapperSettings:
             refit=self.calibration(),
             interval=self.interval,
             rocks=briefing.rocks,
+            beam_ratio=getattr(briefing.instruments.get(self.sensor), "beam_ratio", 0.0),
         )
 
 
@@ -148,6 +149,9 @@ class GaussianDemMapper(HazardMapper):
     interval
         Minimum time between two updates of the map, s. Until `refresh` has set a time, each new
         scan causes an update.
+    beam_ratio
+        Standard deviation of the beam's intensity over the spacing of the samples, from
+        `LidarInstrument`; 0: a line.
 
     Raises
     ------
@@ -165,6 +169,7 @@ class GaussianDemMapper(HazardMapper):
         rocks: RockExpectation | None = None,
         refit: ScenarioCalibration | None = None,
         interval: float = 0.0,
+        beam_ratio: float = 0.0,
     ) -> None:
         footprint_of(lander, grid.posting)
         if not isinstance(safety, str) or safety not in ("calibrated", "level", "planes"):
@@ -178,6 +183,7 @@ class GaussianDemMapper(HazardMapper):
         self.refit = refit
         self.safety = safety
         self.rocks = RockExpectation.or_default(rocks)
+        self._beam_ratio = beam_ratio
         self._samples, self._provisional = SamplePool(grid), SamplePool(grid)
         self._unleveled = UnleveledScans()
         self._map: HazardMap | DemSnapshot = HazardMap.unobserved(grid)
@@ -289,7 +295,7 @@ class GaussianDemMapper(HazardMapper):
         if not len(dem.sampling.residual_heights):
             return HazardMap.unobserved(self.grid)
         if self.safety == "calibrated":
-            return DemSnapshot(dem, self.lander, self.rocks, self.refit)
+            return DemSnapshot(dem, self.lander, self.rocks, self.refit, self._beam_ratio)
         observed_mean = np.where(dem.observed, dem.mean, np.float32(np.nan))
         test = plane_stochastic_safety if self.safety == "planes" else stochastic_safety
         safety = test(observed_mean, dem.variance, self.grid, self.lander)
