@@ -58,10 +58,11 @@ def test_a_single_high_return_is_removed_also_at_the_edges(pixel):
 @pytest.mark.parametrize("angle", [0.0, 1.0])
 def test_rocks_of_one_pixel_and_large_rocks_stay(angle):
     """A rock between two pixels is at most as high as it is wide."""
-    scan, _ = flash(angle=angle)
-    spacing = 2.0 * 0.1 * 120.0 / 96
+    scan, _ = flash(distance=500.0, angle=angle)
+    spacing = 2.0 * 0.1 * 500.0 / 96
     small = changed(scan, [(50, 50)], 2.0 * spacing)
     assert without_isolated_returns(small, UPRIGHT) is small
+    scan, _ = flash(angle=angle)
     large = changed(scan, [(i, j) for i in range(30, 33) for j in range(40, 43)], 5.0)
     assert without_isolated_returns(large, UPRIGHT) is large
 

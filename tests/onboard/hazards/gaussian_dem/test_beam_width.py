@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,10 @@ from lunarsim import Grid, Heightfield, Terrain
 from lunarsim.api import Lander
 from lunarsim.frames import sensor_axes
 from lunarsim.models.instruments import LidarInstrument
-from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapper
+from lunarsim.onboard.hazards.gaussian_dem.mapper import (
+    GaussianDemMapper,
+    GaussianDemMapperSettings,
+)
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.size_distribution import sample_diameters
@@ -85,3 +89,17 @@ def test_with_the_same_scan_a_wider_stated_beam_never_raises_p_safe(terrain):
         mean = mapper.hazard_map().p_safe.mean()
         assert mean < before
         before = mean
+
+
+def test_the_mapper_of_a_flight_takes_the_beam_from_the_calibration(terrain):
+    lidar, own = FlashLidar(divergence=0.8e-3), np.diag([1.0] * 6 + [0.0] * 3)
+    briefing = SimpleNamespace(
+        target=np.zeros(3), lander=Lander(), rocks=None, instruments={"flash": lidar.calibration()}
+    )
+    state = State(POSITION, np.zeros(3), UPRIGHT, np.zeros(3), 1.0)
+    rng = np.random.default_rng(4)
+    scan = lidar.measure(World(terrain, 1.622), state, 0.0, rng, sensor_axes(-POSITION))
+    mapper = GaussianDemMapperSettings(size=24.0).build(briefing, None)
+    mapper.update(scan, Estimate(0.0, POSITION, np.zeros(3), UPRIGHT, np.zeros(3), 1.0, own))
+    expected = hazard_map(terrain, 0.8e-3)
+    assert np.array_equal(mapper.hazard_map().p_safe, expected.p_safe)
