@@ -183,7 +183,7 @@ class GaussianDemMapper(HazardMapper):
         self.refit = refit
         self.safety = safety
         self.rocks = RockExpectation.or_default(rocks)
-        self._beam_ratio = beam_ratio
+        self.beam_ratio = beam_ratio
         self._samples, self._provisional = SamplePool(grid), SamplePool(grid)
         self._unleveled = UnleveledScans()
         self._map: HazardMap | DemSnapshot = HazardMap.unobserved(grid)
@@ -295,7 +295,7 @@ class GaussianDemMapper(HazardMapper):
         if not len(dem.sampling.residual_heights):
             return HazardMap.unobserved(self.grid)
         if self.safety == "calibrated":
-            return DemSnapshot(dem, self.lander, self.rocks, self.refit, self._beam_ratio)
+            return DemSnapshot(dem, self.lander, self.rocks, self.refit, self.beam_ratio)
         observed_mean = np.where(dem.observed, dem.mean, np.float32(np.nan))
         test = plane_stochastic_safety if self.safety == "planes" else stochastic_safety
         safety = test(observed_mean, dem.variance, self.grid, self.lander)
