@@ -212,7 +212,9 @@ def _fly_and_sample(task: _CalibrationFlight) -> list[SiteSamples]:
             drawn = mapper.hazard_map()
             if drawn is not last:
                 last = drawn
-                evidence = dem_site_evidence(mapper.dem(), mapper.lander, mapper.rocks)
+                evidence = dem_site_evidence(
+                    mapper.dem(), mapper.lander, mapper.rocks, mapper.beam_ratio
+                )
                 truth = simulation.truth
                 found.append(sample_sites(evidence, truth, error, task.sites, task.flight, rng))
         simulation.step()

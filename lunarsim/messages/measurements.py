@@ -17,6 +17,8 @@ from lunarsim.value_checks import check_finite, check_shape
 
 # Tangent of the terrain slope assumed for height errors.
 _ASSUMED_SLOPE = 0.1
+# Side of the squares of pixels in which returns are counted for their local density.
+_DENSITY_PIXELS = 8
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,8 @@ class LidarScan:
     mount
         Rotation (3, 3), sensor to body, as measured by the gimbal.
     sigma
-        Standard deviation of each range (rows * cols,), m.
+        Standard deviation of each range as stated by the sensor (rows * cols,), m. It includes
+        noise and rounding, but no false returns.
     shape
         Rows and columns of the detector.
     """
@@ -213,6 +216,8 @@ class LidarScan:
         """Return the spacing (rows * cols,), m, of adjacent points on flat terrain.
 
         The spacing along the line of sight is returned, which is the largest; NaN without a return.
+        If only a fraction f of the pixels around a pixel has a return, the spacing is that of all
+        pixels over the square root of f (`local_return_fraction`).
 
         Parameters
         ----------
@@ -230,7 +235,35 @@ class LidarScan:
             # The last pixel has no successor; it takes the pitch of its predecessor.
             last = np.take(step, [-1], axis=axis)
             pitch = np.maximum(pitch, np.concatenate((step, last), axis=axis))
-        return np.asarray(self.range * pitch.ravel() / np.maximum(down, 1e-3))
+        share = local_return_fraction(np.isfinite(self.range).reshape(self.shape)).ravel()
+        return np.asarray(self.range * pitch.ravel() / np.maximum(down, 1e-3) / np.sqrt(share))
+
+
+def local_return_fraction(has_return: NDArray[np.bool_]) -> Array:
+    """Return the fraction of pixels with a return around each pixel (rows, cols).
+
+    It is the maximum over four squares of 8 x 8 pixels, of which the pixel is a corner. Next to a
+    gap, such as an occlusion, one of them contains no gap and the fraction is 1. If returns are
+    lost at random, all squares have nearly the same fraction. Pixels without a return count as one
+    return in their squares.
+
+    Parameters
+    ----------
+    has_return
+        Whether each pixel has a return (rows, cols).
+    """
+    rows, cols = has_return.shape
+    n = min(_DENSITY_PIXELS, rows, cols)
+    if n == 0 or has_return.all():
+        return np.ones(has_return.shape)
+    total = np.zeros((rows + 1, cols + 1))
+    total[1:, 1:] = np.cumsum(np.cumsum(has_return, axis=0), axis=1)
+    square = total[n:, n:] - total[:-n, n:] - total[n:, :-n] + total[:-n, :-n]
+    # Squares that extend beyond the detector do not count.
+    square = np.pad(square, n - 1)
+    ends = (slice(None, rows), slice(n - 1, None)), (slice(None, cols), slice(n - 1, None))
+    corners = [square[down, right] for down in ends[0] for right in ends[1]]
+    return np.asarray(np.maximum(np.maximum.reduce(corners), 1.0) / n**2)
 
 
 @dataclass(frozen=True)

@@ -60,6 +60,8 @@ class LidarInstrument(PointedInstrument):
         Maximum range with a return, m.
     max_incidence
         Maximum angle between ray and surface normal with a return, rad.
+    divergence
+        Half angle of the beam at 1/e^2 of its peak intensity, rad; 0: a line.
     """
 
     range_bias_sigma: float = 0.0
@@ -69,6 +71,13 @@ class LidarInstrument(PointedInstrument):
     tan_half_fov: float = 0.1
     max_range: float = 2000.0
     max_incidence: float = 0.5 * math.pi
+    divergence: float = 0.0
+
+    @property
+    def beam_ratio(self) -> float:
+        """Standard deviation of the beam's intensity over the spacing of the pixels."""
+        # The intensity exp(-2 r^2 / w^2) has the standard deviation w / 2 along each axis.
+        return 0.5 * self.divergence / self.pixel
 
 
 @dataclass(frozen=True)

@@ -681,6 +681,7 @@ class SensorsTable(SelectedPart):
     exposure_max_s: float
     exposure_min_s: float
     exposure_s: float
+    false_return_fraction: float
     field_of_view_deg: float
     full_well_electrons: float
     gain: float
@@ -708,6 +709,7 @@ class SensorsTable(SelectedPart):
     range_bias_m: float
     range_noise_m: float
     range_sigma_m: float
+    range_step_m: float
     read_noise_electrons: float
     roll_noise_deg: float
     rows: int
@@ -746,6 +748,7 @@ class SensorsChanges(TypedDict, total=False):
     exposure_max_s: float
     exposure_min_s: float
     exposure_s: float
+    false_return_fraction: float
     field_of_view_deg: float
     full_well_electrons: float
     gain: float
@@ -773,6 +776,7 @@ class SensorsChanges(TypedDict, total=False):
     range_bias_m: float
     range_noise_m: float
     range_sigma_m: float
+    range_step_m: float
     read_noise_electrons: float
     roll_noise_deg: float
     rows: int

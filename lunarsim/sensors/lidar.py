@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_to_matrix
@@ -28,7 +29,12 @@ class FlashLidar:
 
     Defaults are those of section IV.B of the Gaussian DEM paper: 256 x 256 pixels that cover
     100 x 100 m from 500 m vertically above, noise along each ray with 3 sigma = 5 cm at 500 m,
-    proportional to range.
+    proportional to range. Noise floor, quantization and false returns are 0 there.
+
+    A false return is a noise count of the detector before the pulse arrives: background light or a
+    dark count. The pixel then reports its time. Noise counts at a constant low rate are uniform
+    over the gate, here from the sensor to the terrain (D. G. Fouche, "Detection and false-alarm
+    probabilities for laser radars that use Geiger-mode detectors", Applied Optics 42, 2003).
 
     Attributes
     ----------
@@ -56,6 +62,24 @@ class FlashLidar:
     )
     noise_ratio: float = quantity(
         0.05 / 3.0 / 500.0, ge=0, lt=0.1, help="range noise divided by range, 1 sigma"
+    )
+    noise_floor: float = quantity(
+        0.0,
+        "m",
+        ge=0,
+        lt=10,
+        help="range noise that does not depend on range, 1 sigma; combined in quadrature with "
+        "noise_ratio",
+    )
+    range_step: float = quantity(
+        0.0, "m", ge=0, lt=10, help="step to which ranges are rounded; 0: no rounding"
+    )
+    false_return_fraction: float = quantity(
+        0.0,
+        ge=0,
+        lt=1,
+        help="fraction of the returns that are noise counts; their ranges are uniformly "
+        "distributed between 0 and the range of the terrain",
     )
     max_range: float = quantity(
         2000.0, "m", gt=0, help="maximum range at which the sensor receives a return"
@@ -170,8 +194,8 @@ class FlashLidar:
         """Return the calibration of the LiDAR for the onboard computer.
 
         It consists of the gimbal limit, the standard deviations of the constant errors, the pixel
-        angle, the field of view, and the limits of range and incidence. The biases with names that
-        end in ``_bias`` are not part of it.
+        angle, the field of view, the limits of range and incidence, and the divergence. The biases
+        with names that end in ``_bias`` are not part of it.
         """
         spread = (
             self.half_fov_tangent
@@ -181,8 +205,22 @@ class FlashLidar:
         return LidarInstrument(
             self.gimbal_limit, self.range_sigma, self.boresight_sigma, self.latency_sigma,
             2.0 * float(spread) / min(self.rows, self.cols), self.half_fov_tangent, self.max_range,
-            self.max_incidence,
+            self.max_incidence, self.divergence,
         )  # fmt: skip
+
+    def stated_sigma(self, distance: ArrayLike) -> Array:
+        """Return the stated standard deviation of measured ranges (...), m.
+
+        Noise floor, proportional noise and the rounding error of a uniform distribution
+        (``range_step / sqrt(12)``) are combined in quadrature. False returns are not included.
+
+        Parameters
+        ----------
+        distance
+            Measured ranges (...), m.
+        """
+        constant = np.hypot(self.noise_floor, self.range_step / np.sqrt(12.0))
+        return np.asarray(np.hypot(constant, self.noise_ratio * np.abs(distance)))
 
     def directions(self) -> Array:
         """Return the viewing directions (rows * cols, 3) of the pixels, sensor frame.
@@ -217,15 +255,32 @@ class FlashLidar:
         world, state, time
             True world and state, and the time, s.
         rng
-            Source of the range noise and of lost returns.
+            Source of the range noise, of lost and of false returns.
         mount
             Rotation (3, 3), sensor to body, of the gimbal; omitted: boresight along body -z.
+        """
+        return self.measure_with_bias(world, state, time, rng, mount, 0.0)
+
+    def measure_with_bias(
+        self,
+        world: World,
+        state: State,
+        time: float,
+        rng: np.random.Generator,
+        mount: Array | None,
+        bias: float,
+    ) -> LidarScan:
+        """Measure the ranges of all pixels in one flash, with a range bias.
+
+        `bias` is added to all ranges before rounding, m. Ranges that are not positive are NaN. The
+        other parameters are those of `measure`.
         """
         mount = DOWNWARD_MOUNT if mount is None else mount
         direction = self.directions()
         rotation = quat_to_matrix(state.attitude) @ mount
         origin = np.asarray(state.position, dtype=np.float64)
         measured, sigma = self._sense(world, origin, direction @ rotation.T, rng)
+        measured = self._digitize(measured + bias)
         shape = (self.rows, self.cols)
         return LidarScan(time, measured, direction, mount, sigma, shape)
 
@@ -245,16 +300,25 @@ class FlashLidar:
         )
         cosine = np.clip(-np.einsum("ij,ij->i", hits.normal, rays), 0.0, 1.0)
         incidence = np.arccos(cosine)
-        measured = true * (1.0 + self.noise_ratio * rng.standard_normal(true.size))
-        # The stated sigma depends on the measured range, so that it does not reveal the true one.
-        sigma = self.noise_ratio * np.abs(measured)
+        noise = np.hypot(self.noise_floor / true, self.noise_ratio)
+        measured = true * (1.0 + noise * rng.standard_normal(true.size))
         lost = ~(incidence <= self.max_incidence)
         if self.photons is not None:
             mean = self.photons * cosine * (_REFERENCE_RANGE / true) ** 2
             lost |= rng.random(mean.size) < np.exp(-mean)
-        for values in (measured, sigma):
-            values[lost] = np.nan
-        return measured, sigma
+        if self.false_return_fraction > 0.0:
+            is_false = rng.random(true.size) < self.false_return_fraction
+            measured = np.where(is_false, true * rng.random(true.size), measured)
+        measured[lost] = np.nan
+        # The stated sigma depends on the measured range, so that it does not reveal the true one.
+        return measured, self.stated_sigma(measured)
+
+    def _digitize(self, distance: Array) -> Array:
+        """Round ranges (n,), m, to the range step; NaN where the result is not positive."""
+        if self.range_step > 0.0:
+            distance = self.range_step * np.rint(distance / self.range_step)
+        with np.errstate(invalid="ignore"):
+            return np.where(distance > 0.0, distance, np.nan)
 
     def _average_over_beam(self, world: World, origin: Array, rays: Array, centre: Array) -> Array:
         """Return the mean range (n,), m, over the footprint of each beam.
@@ -331,7 +395,7 @@ class BiasedLidar:
             position=state.position - self.latency * state.velocity,
             attitude=quat_multiply(state.attitude, turn),
         )
-        scan = self.params.measure(world, then, time, rng, used_mount @ aim)
-        # A negative measured range is not a return.
-        biased = scan.range + self.range_bias
-        return replace(scan, range=np.where(biased > 0.0, biased, np.nan), mount=used_mount)
+        scan = self.params.measure_with_bias(
+            world, then, time, rng, used_mount @ aim, self.range_bias
+        )
+        return replace(scan, mount=used_mount)

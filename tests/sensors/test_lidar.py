@@ -119,3 +119,56 @@ def test_what_is_stated_contains_no_truth():
     true = 500.0 / -(scan.direction @ DOWN.T)[:, 2]
     assert np.abs(scan.range - true).max() > 0.02
     assert scan.sigma == pytest.approx(lidar.noise_ratio * scan.range)
+
+
+def test_noise_floor_adds_to_the_proportional_noise_in_quadrature():
+    """The spread of the ranges is the stated sigma, near and far."""
+    world = World(flat_terrain(size=140.0, posting=2.0), 1.622)
+    exact = FlashLidar(noise_ratio=0.0)
+    noisy = FlashLidar(noise_ratio=1e-4, noise_floor=0.02)
+    for height, sigma in ((20.0, np.hypot(0.02, 2e-3)), (500.0, np.hypot(0.02, 0.05))):
+        true = exact.measure(world, state(height), 0.0, np.random.default_rng(1), DOWN)
+        scan = noisy.measure(world, state(height), 0.0, np.random.default_rng(1), DOWN)
+        assert np.std(scan.range - true.range) == pytest.approx(sigma, rel=0.02)
+        assert scan.sigma == pytest.approx(np.full(scan.range.size, sigma), rel=0.02)
+
+
+@pytest.mark.parametrize("bias", [0.0, 0.013])
+def test_ranges_are_multiples_of_the_range_step(bias):
+    """The stated sigma contains the rounding error of a uniform distribution."""
+    world = World(flat_terrain(size=60.0, posting=2.0), 1.622)
+    step = 0.05
+    exact = FlashLidar(64, 64, noise_ratio=0.0)
+    lidar = FlashLidar(64, 64, noise_ratio=0.0, range_step=step, range_bias=bias)
+    sensor = lidar.build(np.random.default_rng(0), 0.01)
+    true = exact.measure(world, state(200.0), 0.0, np.random.default_rng(1), DOWN)
+    scan = sensor.measure(world, state(200.0), 0.0, np.random.default_rng(1), DOWN)
+    assert np.abs(scan.range / step - np.rint(scan.range / step)).max() < 1e-6
+    error = scan.range - true.range - bias
+    assert np.abs(error).max() <= 0.5 * step + 1e-9
+    assert scan.sigma == pytest.approx(np.full(64 * 64, step / np.sqrt(12.0)))
+    both = FlashLidar(noise_ratio=1e-4, noise_floor=0.01, range_step=step)
+    assert both.stated_sigma(100.0) == pytest.approx(np.sqrt(1e-4 + 1e-4 + step**2 / 12.0))
+
+
+def test_false_returns_are_uniform_between_sensor_and_terrain():
+    world = World(flat_terrain(size=60.0, posting=2.0), 1.622)
+    clean = FlashLidar(noise_ratio=0.0)
+    lidar = FlashLidar(noise_ratio=0.0, false_return_fraction=0.1)
+    true = clean.measure(world, state(200.0), 0.0, np.random.default_rng(1), DOWN).range
+    scan = lidar.measure(world, state(200.0), 0.0, np.random.default_rng(1), DOWN)
+    false = scan.range != true
+    n = false.size
+    assert false.mean() == pytest.approx(0.1, abs=4.0 * np.sqrt(0.09 / n))
+    assert scan.range.min() > 0.0
+    share = scan.range[false] / true[false]
+    assert share.max() <= 1.0
+    count = np.histogram(share, bins=10, range=(0.0, 1.0))[0]
+    assert count == pytest.approx(np.full(10, 0.01 * n), abs=4.5 * np.sqrt(0.01 * n))
+
+
+def test_a_range_that_is_not_positive_is_no_return():
+    world = World(flat_terrain(size=20.0), 1.622)
+    lidar = FlashLidar(8, 8, noise_ratio=0.0, range_step=9.0)
+    scan = lidar.measure(world, state(3.0), 0.0, np.random.default_rng(0), DOWN)
+    assert np.isnan(scan.range).all()

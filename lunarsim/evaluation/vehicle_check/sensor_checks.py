@@ -170,6 +170,12 @@ def _slope_domain(mission: Mission) -> Iterator[Found]:
         yield from one(0.0, outside, map=name, low=np.rad2deg(low), high=np.rad2deg(high))
 
 
+def _stated_sigma(sensor: Any, distance: float) -> float:
+    """Return the stated standard deviation of a range, m; 0 if none is stated."""
+    stated = getattr(sensor, "stated_sigma", None)
+    return float(stated(distance)) if stated else 0.0
+
+
 def _scan_domain(mission: Mission) -> Iterator[Found]:
     """Yield limit and value of the ratios for which p_safe of each map is calibrated.
 
@@ -187,8 +193,7 @@ def _scan_domain(mission: Mission) -> Iterator[Found]:
         for source in set(sensor_names(mapper)) & set(scans):
             sensor, instrument, views = scans[source]
             found = {
-                "noise": getattr(sensor, "noise_ratio", 0.0) * views[-1].range
-                / mission.lander.roughness_limit,
+                "noise": _stated_sigma(sensor, views[-1].range) / mission.lander.roughness_limit,
                 "spacing": sample_spacing(views[-1], instrument.pixel) / mission.lander.leg_radius,
             }  # fmt: skip
             for ratio, limit in most.items():
@@ -219,7 +224,7 @@ SENSOR_CHECKS = (
         "lower size_m of the map"),
     Check("{ratio}-domain-{map}", "sensors", "", AT_MOST, 0.0, _scan_domain,
         "relative {ratio} of scans against the domain of map '{map}'",
-        "p_safe of '{map}' is outside its calibrated domain: lower the sensor's noise_ratio, give "
+        "p_safe of '{map}' is outside its calibrated domain: lower the sensor's range noise, give "
         "it more pixels, or measure lower"),
     Check("slope-domain-{map}", "maps", "deg", AT_MOST, 0.0, _slope_domain,
         "distance of the slope limit from the domain of map '{map}' ({low:g} to {high:g} deg)",

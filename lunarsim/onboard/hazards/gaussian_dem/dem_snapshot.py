@@ -17,6 +17,11 @@ from lunarsim.onboard.hazards.gaussian_dem.pooled import PooledDem
 from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import bounded_safety, plane_stochastic_safety, stochastic_safety
+from lunarsim.safety.beam_averaging import (
+    sharpened_elevation,
+    unaveraged_height,
+    variogram_ratio,
+)
 from lunarsim.safety.unseen_rocks import depth_curve, height_curve
 
 
@@ -33,12 +38,15 @@ class DemSnapshot:
     scenario_calibration
         Last stage of the safety calibration, fitted to the scenario; None: the calibration supplied
         with lunarsim.
+    beam_ratio
+        Standard deviation of the beam's intensity over the spacing of the samples.
     """
 
     dem: PooledDem
     lander: Lander
     rocks: RockExpectation
     scenario_calibration: ScenarioCalibration | None = None
+    beam_ratio: float = 0.0
 
     @property
     def grid(self) -> Grid:
@@ -71,7 +79,7 @@ class DemSnapshot:
     @cached_property
     def site_evidence(self) -> MapEvidence:
         """Inputs of the safety calibration for each site, such as slope and roughness."""
-        return dem_site_evidence(self.dem, self.lander, self.rocks)
+        return dem_site_evidence(self.dem, self.lander, self.rocks, self.beam_ratio)
 
     @cached_property
     def hazard_map(self) -> HazardMap:
@@ -82,25 +90,34 @@ class DemSnapshot:
         )
 
 
-def dem_site_evidence(dem: PooledDem, lander: Lander, rocks: RockExpectation) -> MapEvidence:
+def dem_site_evidence(
+    dem: PooledDem, lander: Lander, rocks: RockExpectation, beam_ratio: float = 0.0
+) -> MapEvidence:
     """Compute the inputs of the safety calibration for each site from elevations.
 
     They are slope, roughness and their uncertainty, the distributions of heights above and depths
     below the local terrain plane, and the sampling statistics. `lander` gives the limits, and
-    `rocks` is the rock population expected by the mission.
+    `rocks` is the rock population expected by the mission. Heights are corrected for the averaging
+    over beams whose standard deviation is `beam_ratio` times the spacing of the samples.
     """
-    observed_mean = np.where(dem.observed, dem.mean, np.float32(np.nan))
     s = dem.sampling
+    beam = beam_ratio * s.spacing
+    observed_mean = sharpened_elevation(
+        np.where(dem.observed, dem.mean, np.float32(np.nan)), dem.grid.posting, beam
+    )
     curve_args = (
-        s.residual_heights,
+        unaveraged_height(s.residual_heights, beam, rocks.height_ratio[0]),
         s.noise,
         lander.roughness_limit,
         rocks.cover,
         rocks.height_ratio[0],
     )
+    # Squared: rocks make the variogram rise more steeply at short distances than the linear model.
+    loss = variogram_ratio(max(s.spacing, dem.grid.posting), beam) ** 2
+    variance = dem.variance / np.float32(loss)
     return MapEvidence(
-        stochastic_safety(observed_mean, dem.variance, dem.grid, lander),
-        plane_stochastic_safety(observed_mean, dem.variance, dem.grid, lander),
+        stochastic_safety(observed_mean, variance, dem.grid, lander),
+        plane_stochastic_safety(observed_mean, variance, dem.grid, lander),
         bounded_safety(observed_mean, dem.grid, lander),
         lander,
         height_curve(*curve_args),
@@ -108,4 +125,6 @@ def dem_site_evidence(dem: PooledDem, lander: Lander, rocks: RockExpectation) ->
         s.density,
         s.noise,
         s.spacing,
+        beam_sigma=beam,
+        height_ratio=rocks.height_ratio[0],
     )

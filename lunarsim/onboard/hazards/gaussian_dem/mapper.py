@@ -19,6 +19,7 @@ from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import DemSnapshot
 from lunarsim.onboard.hazards.gaussian_dem.pooled import PooledDem, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.hazards.hazard_map import HazardMap, TerrainSurface
+from lunarsim.onboard.hazards.isolated_returns import without_isolated_returns
 from lunarsim.onboard.hazards.map_evidence import TerrainEvidence
 from lunarsim.onboard.hazards.map_tilt_correction import UnleveledScans
 from lunarsim.onboard.hazards.map_update_timer import MapUpdateTimer
@@ -119,6 +120,7 @@ class GaussianDemMapperSettings:
             refit=self.calibration(),
             interval=self.interval,
             rocks=briefing.rocks,
+            beam_ratio=getattr(briefing.instruments.get(self.sensor), "beam_ratio", 0.0),
         )
 
 
@@ -144,6 +146,9 @@ class GaussianDemMapper(HazardMapper):
     interval
         Minimum time between two updates of the map, s. Until `refresh` has set a time, each new
         scan causes an update.
+    beam_ratio
+        Standard deviation of the beam's intensity over the spacing of the samples, from
+        `LidarInstrument`; 0: a line.
 
     Raises
     ------
@@ -161,6 +166,7 @@ class GaussianDemMapper(HazardMapper):
         rocks: RockExpectation | None = None,
         refit: ScenarioCalibration | None = None,
         interval: float = 0.0,
+        beam_ratio: float = 0.0,
     ) -> None:
         footprint_of(lander, grid.posting)
         if not isinstance(safety, str) or safety not in ("calibrated", "level", "planes"):
@@ -174,6 +180,7 @@ class GaussianDemMapper(HazardMapper):
         self.refit = refit
         self.safety = safety
         self.rocks = RockExpectation.or_default(rocks)
+        self.beam_ratio = beam_ratio
         self._samples, self._provisional = SamplePool(grid), SamplePool(grid)
         self._unleveled = UnleveledScans()
         self._displacement = np.zeros(3)
@@ -181,7 +188,7 @@ class GaussianDemMapper(HazardMapper):
         self._timer, self._is_outdated = MapUpdateTimer(interval), False
 
     def update(self, measurement: LidarScan, estimate: Estimate) -> None:
-        """Add a scan taken at the estimated pose; ignore a scan without returns.
+        """Add a scan taken at the estimated pose; ignore isolated returns and empty scans.
 
         Raises
         ------
@@ -189,13 +196,14 @@ class GaussianDemMapper(HazardMapper):
             If the scan or the pose is invalid, as in `LidarScan.check`.
         """
         measurement.check(estimate.position, estimate.attitude)
-        points = measurement.points(estimate.position, estimate.attitude)
+        scan = without_isolated_returns(measurement, estimate.attitude)
+        points = scan.points(estimate.position, estimate.attitude)
         early = self._unleveled.includes(estimate.tilt_sigma)
         self._align_to(points)
         taken = (self._provisional if early else self._samples).add(
             points,
-            measurement.height_sigma(estimate.attitude),
-            measurement.spacing(estimate.attitude),
+            scan.height_sigma(estimate.attitude),
+            scan.spacing(estimate.attitude),
         )
         self._is_outdated |= taken > 0
 
@@ -292,7 +300,7 @@ class GaussianDemMapper(HazardMapper):
         if not len(dem.sampling.residual_heights):
             return HazardMap.unobserved(self.grid)
         if self.safety == "calibrated":
-            return DemSnapshot(dem, self.lander, self.rocks, self.refit)
+            return DemSnapshot(dem, self.lander, self.rocks, self.refit, self.beam_ratio)
         observed_mean = np.where(dem.observed, dem.mean, np.float32(np.nan))
         test = plane_stochastic_safety if self.safety == "planes" else stochastic_safety
         safety = test(observed_mean, dem.variance, self.grid, self.lander)

@@ -17,6 +17,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.calibration.calibrated_safety import calibrated_safety
 from lunarsim.onboard.calibration.ensemble import Ensemble
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
+from lunarsim.onboard.hazards.isolated_returns import without_isolated_returns
 from lunarsim.onboard.hazards.map_evidence import TerrainEvidence
 from lunarsim.onboard.hazards.map_tilt_correction import UnleveledScans, rotate_about
 from lunarsim.onboard.hazards.mapper import HazardMapper, is_off_centre, map_grid
@@ -234,7 +235,7 @@ class QuadtreeMapper(HazardMapper):
             self._provisional_count = 0
 
     def update(self, measurement: LidarScan, estimate: Estimate) -> None:
-        """Add a scan taken at the estimated pose; ignore a scan without returns.
+        """Add a scan taken at the estimated pose; ignore isolated returns and empty scans.
 
         Raises
         ------
@@ -244,7 +245,8 @@ class QuadtreeMapper(HazardMapper):
         measurement.check(estimate.position, estimate.attitude)
         if np.isnan(measurement.range).all():
             return
-        self._insert(measurement, estimate.position, estimate.attitude)
+        scan = without_isolated_returns(measurement, estimate.attitude)
+        self._insert(scan, estimate.position, estimate.attitude)
         if self._unleveled.includes(estimate.tilt_sigma):
             self._provisional_count = self.map.count
 
