@@ -236,7 +236,7 @@ def test_from_a_start_that_is_far_off_nothing_is_reported_about_place_and_yaw():
     )  # fmt: skip
     told = np.diag(simulation.estimate.covariance)
     taken = set()
-    while simulation.time < 13.0:
+    while simulation.time < 15.0:
         simulation.step()
         now = np.diag(simulation.estimate.covariance)
         # East, north and yaw; the way that the start's velocity points tells of yaw, 11 m/s by 3.
