@@ -234,11 +234,13 @@ def _runs_of(mask: BoolArray, row0: int, col0: int) -> list[tuple[int, int, int]
 
     The first cell of `mask` (rows, cols) is at row `row0`, column `col0`.
     """
-    runs = []
-    for i, line in enumerate(mask):
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], line.astype(np.int8), [0]))))
-        runs += [(row0 + i, col0 + int(a), int(b - a)) for a, b in edges.reshape(-1, 2)]
-    return runs
+    bordered = np.zeros((mask.shape[0], mask.shape[1] + 2), np.bool_)
+    bordered[:, 1:-1] = mask
+    # In each row, segments begin and end alternately.
+    rows, edges = np.nonzero(bordered[:, 1:] != bordered[:, :-1])
+    first, end = edges[::2], edges[1::2]
+    columns = (rows[::2] + row0, first + col0, end - first)
+    return list(zip(*(values.tolist() for values in columns), strict=True))
 
 
 def _row_windows(mask: BoolArray, row0: int, col0: int) -> list[tuple[int, ...]]:
