@@ -11,7 +11,7 @@ import click
 from rich.console import Console
 from rich.progress import Progress
 
-from lunarsim.campaign.pool import iterate_results
+from lunarsim.campaign.pool import TaskPool
 from lunarsim.campaign.provenance import IGNORED_DIFFERENCES
 from lunarsim.console import plain_console, plain_progress
 from lunarsim.errors import InputError
@@ -161,12 +161,13 @@ def run_study(
     same["machine"] = {k: v for k, v in identity["machine"].items() if k not in IGNORED_DIFFERENCES}
     journal, complete = Journal(out, same), False
     with plain_progress(console or plain_console(_CONSOLE_WIDTH)) as progress:
-        batches = _Batches(study, journal, jobs, progress)
         try:
-            if study.explore is None:
-                batches(study.cases(count, seed, chosen, values))
-            else:
-                study.explore(batches, count, seed, values)
+            with TaskPool(jobs) as pool:
+                batches = _Batches(study, journal, pool, progress)
+                if study.explore is None:
+                    batches(study.cases(count, seed, chosen, values))
+                else:
+                    study.explore(batches, count, seed, values)
             complete = True
         except KeyboardInterrupt:
             if 0 not in journal.finished:
@@ -183,8 +184,8 @@ def run_study(
 class _Batches:
     """Measures batches of cases of a study, except those that the journal holds."""
 
-    def __init__(self, study: Study, journal: Journal, jobs: int, progress: Progress) -> None:
-        self._measure, self._journal, self._jobs = study.measure, journal, jobs
+    def __init__(self, study: Study, journal: Journal, pool: TaskPool, progress: Progress) -> None:
+        self._measure, self._journal, self._pool = study.measure, journal, pool
         self._progress, self._bar = progress, progress.add_task("cases", total=0)
         self.cases: list[Case] = []
 
@@ -197,7 +198,7 @@ class _Batches:
         done = len(self.cases) - len(waiting)
         self._progress.update(self._bar, total=len(self.cases), completed=done)
         tasks = [self.cases[index] for index in waiting]
-        for n, rows in iterate_results(self._measure, tasks, self._jobs):
+        for n, rows in self._pool.iterate_results(self._measure, tasks):
             self._journal.add(waiting[n], rows)
             self._progress.advance(self._bar)
         return [_as_list(finished[index]) for index in indices]

@@ -21,7 +21,7 @@ SPACE = SearchSpace(
     {
         "rocks.cover": ContinuousRange(0.01, 0.19, 0.05),
         "rocks.shape": ChoiceRange(("hemisphere", "cube"), "hemisphere"),
-        **{f"vehicle.{name}": ContinuousRange(low, high, 0.5 * (low + high)) for name, low, high in (
+        **{f"vehicle.{name}": ContinuousRange(a, b, 0.5 * (a + b)) for name, a, b in (
             ("leg_radius_m", 1.0, 4.0), ("com_height_m", 1.0, 3.0), ("slope_limit_deg", 5.0, 15.0),
             ("roughness_limit_m", 0.1, 0.5), ("belly_clearance_m", 0.1, 0.5),
             ("pad_diameter_m", 0.1, 0.5),
