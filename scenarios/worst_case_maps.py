@@ -173,7 +173,7 @@ def map_precision(
     dem = pooled_dem(pool)
     drawn = DemSnapshot(dem, lander, scenario.expected_rocks.make()).hazard_map
     sites = claimed_sites(drawn)
-    safe = _truly_safe(sites, terrain, lander)
+    safe = truly_safe(sites, terrain, lander)
     block = np.floor(sites / BLOCK_M).astype(int) @ [1_000, 1]
     _, group = np.unique(block, return_inverse=True)
     totals = np.bincount(group).astype(float)
@@ -207,7 +207,7 @@ def claimed_sites(drawn: HazardMap) -> np.ndarray:
     return np.asarray(drawn.grid.centres()[::ROW_STRIDE][is_claimed[::ROW_STRIDE]])
 
 
-def _truly_safe(sites: np.ndarray, terrain: Terrain, lander: Any) -> np.ndarray:
+def truly_safe(sites: np.ndarray, terrain: Terrain, lander: Any) -> np.ndarray:
     """Return whether sites (n, 2), m, are exactly safe on the true terrain (n,)."""
     if not len(sites):
         return np.zeros(0, bool)

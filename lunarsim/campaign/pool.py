@@ -21,7 +21,7 @@ R = TypeVar("R")
 
 
 class TaskPool:
-    """Processes that run tasks, and stay alive from batch to batch within a `with` block.
+    """Processes that run batches of tasks and stay alive within a `with` block.
 
     Parameters
     ----------

@@ -72,10 +72,10 @@ def test_a_search_of_one_seed_repeats_itself():
     assert first == second != other
 
 
-def test_constant_and_infinite_scores_use_the_complete_budget():
-    for value in (1.0, math.inf):
-        done, _ = searched(differential_evolution_search, 0, 60, lambda _: value)
-        assert len(done) == 60
+@pytest.mark.parametrize("value", [1.0, math.inf])
+def test_constant_and_infinite_scores_use_the_complete_budget(value):
+    done, _ = searched(differential_evolution_search, 0, 60, lambda _: value)
+    assert len(done) == 60
 
 
 def test_the_best_points_of_the_design_start_the_evolution_again():
