@@ -52,6 +52,18 @@ def test_a_key_that_only_later_keys_make_needed_is_removed():
     assert {k for k, v in shrunk.items() if v != SPACE.nominal()[k]} == {"kind"}
 
 
+def test_keys_are_checked_until_none_can_be_removed():
+    # x0 is needed as long as x3 is not nominal, and x3 as long as x5 is not.
+    shrunk, _ = run(
+        lambda v: (
+            v["kind"] == "b"
+            and (v["x5"] == 0.0 or v["x3"] == 1.0)
+            and (v["x3"] == 0.0 or v["x0"] == 1.0)
+        )
+    )
+    assert {k for k, v in shrunk.items() if v != SPACE.nominal()[k]} == {"kind"}
+
+
 def test_a_failure_that_needs_no_key_or_every_key():
     assert run(lambda _: True)[0] == SPACE.nominal()
     assert run(lambda v: v == FOUND)[0] == FOUND

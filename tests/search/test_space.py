@@ -33,6 +33,12 @@ def test_positions_are_the_inverse_of_values():
         assert abs(SPACE.position(values)[:2] - point[:2]).max() < 1e-3
 
 
+def test_positions_of_integers_and_choices_are_the_middle_of_their_intervals():
+    legs, shape = SPACE.ranges["legs"], SPACE.ranges["shape"]
+    assert [legs.position(n) for n in (3, 6)] == [0.125, 0.875]
+    assert [shape.position(name) for name in ("cube", "post")] == pytest.approx([1 / 6, 5 / 6])
+
+
 def test_integers_and_choices_are_equally_frequent():
     points = np.random.default_rng(0).random((6000, 4))
     values = [SPACE.values(point) for point in points]
