@@ -46,16 +46,15 @@ UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 # Keys that are not keys of a scenario: distance of the sensor from the map centre, its angle off
 # nadir, the number of detector rows and of columns, and whether the relief has craters.
 RANGE, ANGLE, PIXELS, RELIEF = "scan.range_m", "scan.angle_deg", "scan.pixels", "relief"
-CRATER_DENSITY = 0.079  # per m^2, of craters of 1 m or more, as on maria
+# Per m^2, of craters of 1 m or more, as on maria. Rocks cluster only around craters that age.
+CRATERS = {"terrain.crater_density": 0.079, "terrain.crater_degradation": "diffusion"}
+MIN_BLOCK_CRATER_M = 5.0  # few craters of the small terrain are wider
 # Approach speed along the line of sight, m/s, per square root of the distance, m^0.5: half of what
 # a deceleration of 0.8 m/s^2 stops in this distance.
 SPEED_PER_ROOT_M = 0.6
 
 BASE: dict[str, Any] = {
-    "terrain": {
-        "kind": "fractal", "size_m": 100.0, "posting_m": 0.25, "crater_degradation": "diffusion",
-    },
-    "rocks": {"min_block_crater_diameter_m": 5.0},
+    "terrain": {"kind": "fractal", "size_m": 100.0, "posting_m": 0.25},
     "sensors": {
         "imu": {"kind": "imu"}, "altimeter": {"kind": "radar-altimeter"},
         "velocimeter": {"kind": "velocimeter"}, "stars": {"kind": "star-tracker"},
@@ -111,7 +110,6 @@ def scenario_of(values: Mapping[str, Any]) -> Scenario:
     cratered = values[RELIEF] == "cratered"
     speed = SPEED_PER_ROOT_M * math.sqrt(distance)
     own |= {
-        "terrain.crater_density": CRATER_DENSITY if cratered else 0.0,
         "vehicle.belly_clearance_m": values["vehicle.roughness_limit_m"],
         "sensors.flash.rows": values[PIXELS],
         "sensors.flash.cols": values[PIXELS],
@@ -119,7 +117,9 @@ def scenario_of(values: Mapping[str, Any]) -> Scenario:
         "start.velocity_m_s": [round(float(v), 1) for v in -speed * line],
         "tasking.flash.altitudes_m": [round(distance * math.cos(angle), 1)],
     }
-    if not cratered:
+    if cratered:
+        own |= {**CRATERS, "rocks.min_block_crater_diameter_m": MIN_BLOCK_CRATER_M}
+    else:
         own["rocks.cluster_fraction"] = 0.0
     return _with_correct_expectation(with_values(Scenario.from_dict(BASE), own, "values"))
 
