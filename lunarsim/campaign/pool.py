@@ -20,6 +20,74 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
+class TaskPool:
+    """Processes that run batches of tasks and stay alive within a `with` block.
+
+    Parameters
+    ----------
+    jobs
+        Number of processes, which start with the first batch; 1: this process.
+    """
+
+    def __init__(self, jobs: int) -> None:
+        self._jobs = jobs
+        self._executor: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> TaskPool:
+        return self
+
+    def __exit__(self, error: type[BaseException] | None, *_: object) -> None:
+        executor = self._executor
+        if executor is None:
+            return
+        if error is None:
+            executor.shutdown()
+            return
+        # Without this, running tasks would delay the end of this process.
+        workers = list((executor._processes or {}).values())
+        executor.shutdown(wait=False, cancel_futures=True)
+        for worker in workers:
+            worker.terminate()
+
+    def iterate_results(
+        self, function: Callable[[T], R], tasks: Sequence[T]
+    ) -> Iterator[tuple[int, R]]:
+        """Call a function on each task of a batch; yield index and result as they end.
+
+        The parameters are those of the function `iterate_results`.
+        """
+        if self._jobs == 1:
+            for index, task in enumerate(tasks):
+                yield index, _run_task(function, task)
+            return
+        check_picklable("tasks", (function, tasks[:1]))
+        executor = self._started()
+        waiting: dict[Future[R], int] = {}
+        queue = iter(enumerate(tasks))
+
+        def fill() -> None:
+            for index, task in queue:
+                waiting[executor.submit(_run_task, function, task)] = index
+                if len(waiting) >= 2 * self._jobs:
+                    break
+
+        fill()
+        while waiting:
+            for future in wait(waiting, return_when=FIRST_COMPLETED)[0]:
+                yield waiting.pop(future), future.result()
+            fill()
+
+    def _started(self) -> ProcessPoolExecutor:
+        """Return the processes; start them if necessary."""
+        if self._executor is None:
+            # OpenGL contexts and Numba's thread pools do not survive a fork.
+            context = multiprocessing.get_context("spawn")
+            self._executor = ProcessPoolExecutor(
+                self._jobs, mp_context=context, initializer=limit_to_one_thread
+            )
+        return self._executor
+
+
 def iterate_results(
     function: Callable[[T], R], tasks: Sequence[T], jobs: int
 ) -> Iterator[tuple[int, R]]:
@@ -36,37 +104,8 @@ def iterate_results(
     jobs
         Number of processes; 1: this process.
     """
-    if jobs == 1:
-        for index, task in enumerate(tasks):
-            yield index, _run_task(function, task)
-        return
-    check_picklable("tasks", (function, tasks[:1]))
-    # OpenGL contexts and Numba's thread pools do not survive a fork.
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=limit_to_one_thread)
-    try:
-        waiting: dict[Future[R], int] = {}
-        queue = iter(enumerate(tasks))
-
-        def fill() -> None:
-            for index, task in queue:
-                waiting[pool.submit(_run_task, function, task)] = index
-                if len(waiting) >= 2 * jobs:
-                    break
-
-        fill()
-        while waiting:
-            for future in wait(waiting, return_when=FIRST_COMPLETED)[0]:
-                yield waiting.pop(future), future.result()
-            fill()
-        pool.shutdown()
-    except BaseException:
-        # Without this, running tasks would delay the end of this process.
-        workers = list((pool._processes or {}).values())
-        pool.shutdown(wait=False, cancel_futures=True)
-        for worker in workers:
-            worker.terminate()
-        raise
+    with TaskPool(jobs) as pool:
+        yield from pool.iterate_results(function, tasks)
 
 
 def _run_task(function: Callable[[T], R], task: T) -> R:

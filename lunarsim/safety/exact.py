@@ -105,12 +105,21 @@ def exact_safety(
     return SafetyMap(grid, slope, roughness, safe, observed)
 
 
-def safe_sites(elevation: ArrayLike, grid: Grid, lander: Lander) -> tuple[BoolMap, BoolMap]:
+def safe_sites(
+    elevation: ArrayLike, grid: Grid, lander: Lander, *, where: BoolMap | None = None
+) -> tuple[BoolMap, BoolMap]:
     """Return which cells are safe landing sites by the exact safety test.
 
     This is faster than `exact_safety`, which has the same parameters and errors and also returns
     the slope and roughness of each cell. Sites that pass the conservative test need no more work;
     the evaluation of the other sites stops as soon as a limit is exceeded.
+
+    Parameters
+    ----------
+    elevation, grid, lander
+        As for `exact_safety`.
+    where
+        Cells to evaluate (rows, cols); omitted: all. The others count as not observed.
 
     Returns
     -------
@@ -122,6 +131,8 @@ def safe_sites(elevation: ArrayLike, grid: Grid, lander: Lander) -> tuple[BoolMa
     height = prepare_elevation("elevation", elevation, grid, footprint)
     span, rise = height_differences(height, footprint)
     observed = rise < k.FAR
+    if where is not None:
+        observed &= where
     clearly_safe = (span < footprint.min_triangle_height * np.sin(lander.slope_limit)) & (
         rise < lander.roughness_limit
     )

@@ -234,11 +234,13 @@ def _runs_of(mask: BoolArray, row0: int, col0: int) -> list[tuple[int, int, int]
 
     The first cell of `mask` (rows, cols) is at row `row0`, column `col0`.
     """
-    runs = []
-    for i, line in enumerate(mask):
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], line.astype(np.int8), [0]))))
-        runs += [(row0 + i, col0 + int(a), int(b - a)) for a, b in edges.reshape(-1, 2)]
-    return runs
+    bordered = np.zeros((mask.shape[0], mask.shape[1] + 2), np.bool_)
+    bordered[:, 1:-1] = mask
+    # In each row, segments begin and end alternately.
+    rows, edges = np.nonzero(bordered[:, 1:] != bordered[:, :-1])
+    first, end = edges[::2], edges[1::2]
+    columns = (rows[::2] + row0, first + col0, end - first)
+    return list(zip(*(values.tolist() for values in columns), strict=True))
 
 
 def _row_windows(mask: BoolArray, row0: int, col0: int) -> list[tuple[int, ...]]:
@@ -301,32 +303,36 @@ def _covers(footprint: Footprint, block: int) -> PolygonBlocks:
     four: the last block is repeated.
     """
     corners: list[tuple[int, int]] = []
-    allowed: list[BoolArray] = []
+    bands: list[IntArray] = []  # first column and end of the polygon in each row of a block
     first = [0]
     across = np.arange(block)
     for polygon in footprint.legs:
-        spans = {row: (col, col + length) for row, col, length in polygon_runs(polygon)}
-        lowest, highest = min(spans), max(spans)
+        runs = np.array(polygon_runs(polygon))
+        lowest, highest = int(runs[0, 0]), int(runs[-1, 0])
+        spans = np.zeros((max(highest - lowest + 1, block), 2), np.int64)
+        spans[runs[:, 0] - lowest] = np.column_stack((runs[:, 1], runs[:, 1] + runs[:, 2]))
         for start in range(lowest, highest + 1, block):
             # The last band is shifted to end at the last row: no block leaves the footprint.
             row = min(start, max(highest - block + 1, lowest))
-            band = np.array([spans.get(row + r, (0, 0)) for r in range(block)])
+            band = spans[row - lowest : row - lowest + block]
             there = band[:, 1] > band[:, 0]
             low, high = int(band[there, 0].min()), int(band[there, 1].max())
             columns = list(range(low, max(high - block, low) + 1, block))
             if columns[-1] + block < high:
                 columns.append(high - block)
-            for col in columns:
-                corners.append((row, col))
-                allowed.append((col + across >= band[:, :1]) & (col + across < band[:, 1:]))
+            corners += [(row, col) for col in columns]
+            bands += [band] * len(columns)
         spare = -len(corners) % 4
         corners += [corners[-1]] * spare
-        allowed += [allowed[-1]] * spare
+        bands += [bands[-1]] * spare
         first.append(len(corners))
     south_west = np.array(corners, dtype=np.int64)
     centres = (south_west[:, ::-1] + 0.5 * (block - 1)).astype(np.float32)
     distinct, corner_index = np.unique(south_west, axis=0, return_inverse=True)
-    marks = np.where(np.array(allowed), np.float32(0.0), -FAR).ravel()
+    columns_of_blocks = south_west[:, 1, None, None] + across
+    begin, end = np.array(bands)[..., :1], np.array(bands)[..., 1:]
+    allowed = (columns_of_blocks >= begin) & (columns_of_blocks < end)
+    marks = np.where(allowed, np.float32(0.0), -FAR).ravel()
     return PolygonBlocks(
         south_west,
         centres.ravel(),

@@ -426,6 +426,7 @@ class TerrainTable(SelectedPart):
     posting_m: float
     preset: Literal["none", "mare", "highland", "polar"]
     relief_scale: float
+    relief_seed: int
     rms_slope_deg: float | None
     size_m: float
 
@@ -452,6 +453,7 @@ class TerrainChanges(TypedDict, total=False):
     posting_m: float
     preset: Literal["none", "mare", "highland", "polar"]
     relief_scale: float
+    relief_seed: int
     rms_slope_deg: float | None
     size_m: float
 

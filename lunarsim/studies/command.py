@@ -9,8 +9,9 @@ from typing import Any
 
 import click
 from rich.console import Console
+from rich.progress import Progress
 
-from lunarsim.campaign.pool import iterate_results
+from lunarsim.campaign.pool import TaskPool
 from lunarsim.campaign.provenance import IGNORED_DIFFERENCES
 from lunarsim.console import plain_console, plain_progress
 from lunarsim.errors import InputError
@@ -24,7 +25,7 @@ from lunarsim.studies.results import (
     read_results,
     write_results,
 )
-from lunarsim.studies.study import Case, Study
+from lunarsim.studies.study import Case, Row, Study
 
 _CONSOLE_WIDTH = 200
 
@@ -152,32 +153,59 @@ def run_study(
     seed = study.seed if seed is None else seed
     values = {**_defaults(study), **(options or {})}
     chosen = {name: list((levels or {}).get(name, every)) for name, every in study.factors.items()}
-    cases = study.cases(count, seed, chosen, values)
     identity = provenance(
         study_name(study), study_script(study),
         {study.repeats: count, "seed": seed, "levels": chosen, **values},
     )  # fmt: skip
     same = {key: identity[key] for key in _IDENTITY}
     same["machine"] = {k: v for k, v in identity["machine"].items() if k not in IGNORED_DIFFERENCES}
-    journal = Journal(out, same)
-    waiting = [index for index in range(len(cases)) if index not in journal.finished]
+    journal, complete = Journal(out, same), False
     with plain_progress(console or plain_console(_CONSOLE_WIDTH)) as progress:
-        bar = progress.add_task("cases", total=len(cases), completed=len(cases) - len(waiting))
         try:
-            for n, rows in iterate_results(study.measure, [cases[i] for i in waiting], jobs):
-                journal.add(waiting[n], rows)
-                progress.advance(bar)
+            with TaskPool(jobs) as pool:
+                batches = _Batches(study, journal, pool, progress)
+                if study.explore is None:
+                    batches(study.cases(count, seed, chosen, values))
+                else:
+                    study.explore(batches, count, seed, values)
+            complete = True
         except KeyboardInterrupt:
             if 0 not in journal.finished:
                 raise
-            done = len(journal.finished)
-            progress.console.print(f"Interrupted after {done} of {len(cases)} cases.")
-    rows = _joined(cases, journal.finished)
+            done, known = len(journal.finished), len(batches.cases)
+            progress.console.print(f"Interrupted after {done} of {known} cases.")
+    rows = _joined(batches.cases, journal.finished)
     if out is not None:
-        complete = len(journal.finished) == len(cases)
         found = {"complete": complete, "columns": _labels(study), "rows": rows}
         write_results(out, {**identity, **found})
     return rows
+
+
+class _Batches:
+    """Measures batches of cases of a study, except those that the journal holds."""
+
+    def __init__(self, study: Study, journal: Journal, pool: TaskPool, progress: Progress) -> None:
+        self._measure, self._journal, self._pool = study.measure, journal, pool
+        self._progress, self._bar = progress, progress.add_task("cases", total=0)
+        self.cases: list[Case] = []
+
+    def __call__(self, batch: Sequence[Case]) -> list[list[Row]]:
+        """Return the rows of each case of a batch."""
+        finished, first = self._journal.finished, len(self.cases)
+        self.cases += batch
+        indices = range(first, len(self.cases))
+        waiting = [index for index in indices if index not in finished]
+        done = len(self.cases) - len(waiting)
+        self._progress.update(self._bar, total=len(self.cases), completed=done)
+        tasks = [self.cases[index] for index in waiting]
+        for n, rows in self._pool.iterate_results(self._measure, tasks):
+            self._journal.add(waiting[n], rows)
+            self._progress.advance(self._bar)
+        return [_as_list(finished[index]) for index in indices]
+
+
+def _as_list(rows: Row | list[Row]) -> list[Row]:
+    return [rows] if isinstance(rows, dict) else rows
 
 
 def _defaults(study: Study) -> dict[str, Any]:
@@ -199,8 +227,7 @@ def _joined(cases: Sequence[Case], finished: Mapping[int, Any]) -> list[dict[str
     for index, case in enumerate(cases):
         if index not in finished:
             break
-        found = finished[index]
-        for row in [found] if isinstance(found, dict) else found:
+        for row in _as_list(finished[index]):
             rows.append({**plain(case.levels), "number": case.number, **row})
     return rows
 

@@ -45,6 +45,10 @@ class Case:
         return self.levels[name] if name in self.levels else self.options[name]
 
 
+Measure = Callable[[Sequence[Case]], list[list[Row]]]
+Explore = Callable[[Measure, int, int, Mapping[str, Any]], None]
+
+
 @dataclass(frozen=True)
 class Study:
     """Cases of a study, what is measured in each, and how the results are reported.
@@ -77,6 +81,11 @@ class Study:
         Minimum number of repetitions.
     seed
         Root seed by default.
+    explore
+        Function that chooses the cases itself, for example a search whose next cases depend on
+        results. It is called with a function that measures a batch of cases and returns the rows
+        of each, the number of repetitions, the root seed and the values of the options. Default:
+        the cases are all combinations of the factors.
     """
 
     measure: Callable[[Case], Row | list[Row]]
@@ -90,6 +99,7 @@ class Study:
     report: Callable[[Report], None] = print_metrics
     minimum: int = 1
     seed: int = 1
+    explore: Explore | None = None
 
     def cases(
         self, count: int, seed: int, levels: Mapping[str, Sequence[Any]], options: Mapping[str, Any]

@@ -188,6 +188,10 @@ def test_deciding_alone_agrees_with_the_full_map(seed, legs, rough):
     safe, observed = safe_sites(z, grid, lander)
     assert np.array_equal(safe, exact.safe)
     assert np.array_equal(observed, exact.observed)
+    where = np.random.default_rng(seed).random(z.shape) < 0.2
+    safe, observed = safe_sites(z, grid, lander, where=where)
+    assert np.array_equal(safe, exact.safe & where)
+    assert np.array_equal(observed, exact.observed & where)
 
 
 @given(st.integers(0, 1000), st.floats(-300.0, 300.0))

@@ -19,8 +19,6 @@ from lunarsim.world.terrain import (
     fractal_relief,
 )
 
-# Fixed: relief is the same for all flights of a scenario; only rocks are drawn for each flight.
-_RELIEF_SEED = 20260101
 # Hurst exponent, RMS slope at 1 m (rad) and crater density. Mare and highland: median Hurst
 # exponents and slopes from Rosenburg et al. (2011), J. Geophys. Res. 116, E02001; the exponents
 # extrapolate the slopes to 1 m. Polar: the ridge beside Shackleton crater at the south pole, which
@@ -85,6 +83,11 @@ class ReliefRoughness:
         help="wear of the craters: uniform (all depths are equally likely) or diffusion (small "
         "craters are shallow)",
     )
+    relief_seed: int = quantity(
+        20260101, ge=0, le=2**32 - 1,
+        help="random seed of relief and craters, which are the same in all flights of a scenario; "
+        "rocks are random in every flight",
+    )  # fmt: skip
 
     def procedural_relief(
         self, grid: Grid, largest: float | None = None, *, detail: float | None = None
@@ -96,10 +99,10 @@ class ReliefRoughness:
         with short-wavelength roughness and craters of at least four spacings in diameter added.
         """
         hurst, slope, density = self._parameters()
-        rng = np.random.default_rng(_RELIEF_SEED)
+        rng = np.random.default_rng(self.relief_seed)
         relief = fractal_relief(grid, rng, hurst=hurst, rms_slope=slope)
         if detail is not None:
-            fine = np.random.default_rng([_RELIEF_SEED, 2])
+            fine = np.random.default_rng([self.relief_seed, 2])
             relief = add_fine_roughness(relief, detail, fine, hurst=hurst, rms_slope=slope)
             relief = self._add_small_craters(relief, fine, density)
         if density == 0.0:
@@ -149,7 +152,7 @@ class ReliefRoughness:
                 show_value=False,
             )
         law = CraterLaw(density, self.crater_equilibrium_diameter)
-        rng = np.random.default_rng([_RELIEF_SEED, 1])
+        rng = np.random.default_rng([self.relief_seed, 1])
         return AgedCraters.draw(
             relief, rng, minimum=self.crater_min_diameter, maximum=largest, law=law
         )

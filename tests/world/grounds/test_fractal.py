@@ -85,3 +85,19 @@ def test_detail_that_nobody_asked_for_fits_posts_and_memory(size, posting):
         kind = replace(ground, crater_density=0.0)
         plain = replace(kind, detail=0.0)
         assert kind.relief().bounds == pytest.approx(plain.relief().bounds)
+
+
+@pytest.mark.parametrize("degradation", ["uniform", "diffusion"])
+def test_the_relief_seed_selects_relief_and_craters(degradation):
+    ground = FractalTerrain(
+        size=40.0, crater_density=0.079, crater_degradation=degradation, detail=0.125
+    )
+    first, same, other = (
+        replace(ground, relief_seed=seed).relief().z for seed in (20260101, 20260101, 7)
+    )
+    assert np.array_equal(first, ground.relief().z) and np.array_equal(first, same)
+    assert abs(np.corrcoef(first.ravel(), other.ravel())[0, 1]) < 0.9
+    assert other.std() == pytest.approx(first.std(), rel=0.7)
+    if degradation == "diffusion":
+        sites = [replace(ground, relief_seed=s).craters(ground.relief()).x for s in (1, 2)]
+        assert sites[0].shape != sites[1].shape or not np.array_equal(*sites)

@@ -1,0 +1,132 @@
+"""The study of the worst maps: its score, its ranges and its scenarios."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from lunarsim import exact_safety
+from lunarsim.grid import Grid
+from lunarsim.rng import RandomStreams
+from lunarsim.scenario import Scenario
+from lunarsim.studies import Case
+from lunarsim.studies.command import study_command
+from lunarsim.studies.library import load_study
+
+
+@pytest.fixture
+def script():
+    load_study("worst_case_maps")
+    import worst_case_maps  # found after the study is loaded
+
+    return worst_case_maps
+
+
+@pytest.fixture
+def small(script, monkeypatch):
+    """Maps of 18 m on terrain of 30 m, which take a fraction of the time."""
+    monkeypatch.setattr(script, "MAP_SIDE_M", 18.0)
+    monkeypatch.setattr(script, "MIN_CLAIMED_SITES", 20)
+    monkeypatch.setitem(script.BASE["terrain"], "size_m", 30.0)
+    monkeypatch.setitem(script.BASE["mappers"]["dem"], "size_m", 18.0)
+    return script
+
+
+# Rocks hardly larger than a map cell and hardly higher than the roughness limit.
+NARROW_ROCKS = {
+    "terrain.rms_slope_deg": 0.8, "rocks.shape": "irregular", "rocks.height_ratio.0": 0.75,
+    "rocks.cover": 0.022, "rocks.min_diameter_m": 0.19, "rocks.max_diameter_m": 0.33,
+    "vehicle.leg_radius_m": 3.0, "vehicle.roughness_limit_m": 0.16, "scan.range_m": 122.0,
+}  # fmt: skip
+
+
+def measured(script, changes, number=0):
+    values = {**script.SPACE.nominal(), **changes}
+    return script.measure(Case({"values": values}, number, 1))
+
+
+def test_narrow_rocks_are_a_failure_and_nominal_rocks_are_none(small):
+    bad, good = measured(small, NARROW_ROCKS), measured(small, {"scan.range_m": 122.0})
+    assert good["score"] > 0.95 and good["claimed"] > 100
+    assert bad["score"] == bad["precision"] < 0.8
+    assert bad["precision_low"] <= bad["precision"] <= bad["precision_high"] < 0.95
+    assert bad["precision"] == pytest.approx(1.0 - bad["unsafe"] / bad["claimed"])
+    # Another draw has other rocks; the same draw repeats itself.
+    again, other = (measured(small, NARROW_ROCKS, number) for number in (0, 1))
+    assert again["unsafe"] == bad["unsafe"] and other["unsafe"] != bad["unsafe"]
+
+
+def test_the_truth_of_claimed_sites_is_that_of_the_exact_test(small):
+    values = {**small.SPACE.nominal(), **NARROW_ROCKS, "vehicle.leg_radius_m": 1.0}
+    scenario = small.scenario_of(values)
+    terrain = scenario.terrain.make().build(scenario.rocks.make(), RandomStreams(3))
+    sites = np.random.default_rng(0).uniform(-4.0, 4.0, (300, 2))
+    safe = small.truly_safe(sites, terrain, scenario.vehicle.make())
+    # The cells of the truth are those of a grid of odd or even size about the centre.
+    grid = Grid.centred((0.0, 0.0), 18.0 + 2.0 * (1.15 + 0.1), 0.05)
+    truth = exact_safety(terrain.raster(grid), grid, scenario.vehicle.make())
+    assert 0.1 < safe.mean() < 0.99
+    assert (safe == truth.safe[grid.cell(sites)]).all()
+
+
+def test_a_world_with_few_claims_has_a_score_above_one(small, monkeypatch):
+    monkeypatch.setattr(small, "MIN_CLAIMED_SITES", 10**6)
+    row = measured(small, NARROW_ROCKS)
+    assert row["score"] == pytest.approx(2.0 - row["claimed"] / 10**6)
+
+
+def test_rocks_that_do_not_fit_are_not_admissible(small, monkeypatch):
+    def refuse(*_):
+        raise small.InputError("rocks.cover", 0.1, "must be smaller")
+
+    monkeypatch.setattr(small, "map_precision", refuse)
+    row = measured(small, {})
+    assert row["score"] == math.inf and "rocks.cover" in row["rejected"]
+
+
+def test_all_ranges_are_admissible_and_inputs_are_correct(script):
+    script.SPACE.check(script.scenario_of)
+    for point in np.random.default_rng(2).random((20, len(script.SPACE.ranges))):
+        scenario = script.scenario_of(script.SPACE.values(point))
+        true, expected = scenario.rocks, scenario.expected_rocks
+        for key in ("shape", "height_ratio", "burial", "axis_ratio", "cover"):
+            assert getattr(expected, key) == getattr(true, key)
+        assert scenario.sensors["flash"].divergence_mrad == 0.0
+        assert scenario.vehicle.belly_clearance_m == scenario.vehicle.roughness_limit_m
+
+
+def test_the_study_runs_and_continues_with_few_evaluations(small, tmp_path):
+    measured_cases = []
+
+    def interrupted(case):
+        if len(measured_cases) % 4 == 3:
+            measured_cases.append(None)
+            raise KeyboardInterrupt
+        measured_cases.append(case)
+        return small.measure(case)
+
+    command = study_command(replace(small.study, measure=interrupted))
+    for total in (3, 6):
+        done = CliRunner().invoke(command, ["--evaluations", "30", "--out", str(tmp_path)])
+        assert done.exit_code == 0, done.output
+        assert f"Interrupted after {total} of 10 cases" in done.output
+        assert "Minimum score of single evaluations" in done.output
+    rows = json.loads((tmp_path / "results.json").read_text())["rows"]
+    assert [row["draw"] for row in rows] == list(range(6))
+    assert all(row["score"] > 0.0 and set(row["values"]) == set(small.SPACE.ranges) for row in rows)
+    assert (tmp_path / "worst_case.png").exists()
+
+
+def test_the_scenario_of_a_finding_is_accepted(script, tmp_path):
+    scenario = script.scenario_of({**script.SPACE.nominal(), **NARROW_ROCKS})
+    scenario.save(tmp_path / "finding.toml")
+    loaded = Scenario.load(tmp_path / "finding.toml")
+    loaded.check_hover()
+    assert loaded.to_dict() == scenario.to_dict()
+    height = loaded.tasking["flash"].altitudes_m[0]
+    assert height == 122.0 < loaded.start.position_m[2]
