@@ -102,6 +102,8 @@ def _with_neighbours(path):
     named = re.findall(r"^(?:from|import) (\w+)", source, re.MULTILINE)
     beside = [path.with_name(f"{name}.py") for name in named]
     source += "".join(p.read_text(encoding="utf-8") for p in beside if p.is_file())
+    if "import OPTIONS" in source:  # the options of every search for the worst case
+        source += (ROOT / "lunarsim" / "studies" / "worst_case.py").read_text(encoding="utf-8")
     if "study = Study(" in source:  # the options of every study, its repetitions and factors
         repeats = re.findall(r'repeats="(\w+)"', source)
         factors = re.findall(r"factor_help={(.*?)}", source, re.DOTALL)
