@@ -85,7 +85,7 @@ def fly(
     Examples
     --------
     >>> import lunarsim
-    >>> flight = lunarsim.fly("hirise", policy="safest", seed=1, rocks={"cover": 0.08})
+    >>> flight = lunarsim.fly("hirise", policy="safest", seed=1, rocks={"cover": 0.02})
     >>> print(flight)  # doctest: +ELLIPSIS
     landed safely
       time of flight ...

@@ -17,23 +17,18 @@ from typing import Any
 
 import numpy as np
 
-from lunarsim.api import LidarScan, State
-from lunarsim.errors import InputError
+from lunarsim import Grid, InputError, Scenario, Terrain, flight_seed
+from lunarsim.api import HazardMap, LidarScan, RandomStreams, State
 from lunarsim.evaluation.comparisons import ratio_interval
 from lunarsim.frames import sensor_axes
-from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import DemSnapshot
-from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.rng import RandomStreams, flight_seed
 from lunarsim.safety import footprint_of, safe_sites
-from lunarsim.scenario import Scenario
 from lunarsim.scenario.changes import with_values
 from lunarsim.search import ChoiceRange, ContinuousRange, SearchSpace
 from lunarsim.studies import Case, Metric, Study, run_script
 from lunarsim.studies.worst_case import OPTIONS, WorstCaseProblem
 from lunarsim.world import World
-from lunarsim.world.terrain import Terrain
 
 CLAIMED_P = 0.95  # claims are sites with a larger p_safe, inside the domain
 # A world with fewer claimed sites has no usable precision; its score is above 1.

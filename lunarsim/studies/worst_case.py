@@ -20,6 +20,8 @@ from lunarsim.studies.study import Case, Measure, Row
 from lunarsim.typing import Array
 from lunarsim.viz.style import COLOURS, new_figure, save
 
+__all__ = ["OPTIONS", "WorstCaseProblem"]
+
 OPTIONS = (
     click.Option(
         ["--findings"], type=click.IntRange(min=1), default=3, show_default=True,

@@ -18,15 +18,13 @@ import click
 import numpy as np
 from rich.table import Table
 
-from lunarsim import Grid, Heightfield, Terrain
-from lunarsim.api import HazardMap, Lander, State
+from lunarsim import Grid, Heightfield, Terrain, exact_safety
+from lunarsim.api import Estimate, HazardMap, Lander, State
 from lunarsim.frames import sensor_axes
 from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapper
-from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.rocks.size_distribution import sample_diameters
-from lunarsim.safety import exact_safety
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.studies import Case, Report, Study, run_script
 from lunarsim.world import World

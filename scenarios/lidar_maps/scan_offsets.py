@@ -17,9 +17,9 @@ from rich.table import Table
 from worlds import LANDERS, UPRIGHT, LidarScene
 
 from lunarsim import Grid, exact_safety
+from lunarsim.api import Estimate
 from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper, SamplePool, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import DemSnapshot
-from lunarsim.onboard.navigation import Estimate
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.studies import Case, Report, Study, run_script
 from lunarsim.world.truth import TerrainTruth
