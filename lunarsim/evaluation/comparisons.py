@@ -143,36 +143,6 @@ def bootstrap_interval(
     return float(found.confidence_interval.low), float(found.confidence_interval.high)
 
 
-def ratio_interval(
-    counts: ArrayLike, totals: ArrayLike, rng: np.random.Generator, level: float = 0.95
-) -> tuple[float, float]:
-    """Return the bootstrap interval of the sum of counts over the sum of totals.
-
-    Groups are resampled, for example blocks of a map, because trials of one group are correlated.
-
-    Parameters
-    ----------
-    counts, totals
-        Number of successes and of trials of each group (n,); totals are positive.
-    rng
-        Source of the resamples.
-    level
-        Confidence level.
-
-    Returns
-    -------
-    tuple
-        Ends of the percentile interval; NaN for fewer than two groups.
-    """
-    counts, totals = np.asarray(counts, dtype=np.float64), np.asarray(totals, dtype=np.float64)
-    if len(totals) < 2:
-        return float("nan"), float("nan")
-    drawn = rng.integers(len(totals), size=(_RESAMPLES, len(totals)))
-    ratios = counts[drawn].sum(axis=1) / totals[drawn].sum(axis=1)
-    low, high = np.quantile(ratios, (0.5 - 0.5 * level, 0.5 + 0.5 * level))
-    return float(low), float(high)
-
-
 def holm_correction(p: Sequence[float]) -> Array:
     """Correct p-values (n,) for multiple tests by Holm's method.
 

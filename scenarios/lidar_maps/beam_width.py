@@ -21,7 +21,7 @@ from rich.table import Table
 from lunarsim import Grid, Heightfield, Terrain, exact_safety
 from lunarsim.api import Estimate, HazardMap, Lander, State
 from lunarsim.frames import sensor_axes
-from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapper
+from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.rocks.size_distribution import sample_diameters

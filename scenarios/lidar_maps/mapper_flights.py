@@ -27,8 +27,8 @@ from lunarsim import (
 )
 from lunarsim.api import HazardMapper
 from lunarsim.evaluation.flight_metrics import evaluate
-from lunarsim.evaluation.reliability import EDGES, reliability
-from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapper
+from lunarsim.evaluation.reliability import reliability
+from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper
 from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
 from lunarsim.rocks.field import RockField
 from lunarsim.world import World
@@ -192,7 +192,7 @@ def evaluate_map(
         [np.bincount(k[c], weights=w[c], minlength=len(STRATA))
          for w in (np.ones(p.size), s.astype(np.float64), (p - s) ** 2)], axis=-1,
     )  # fmt: skip
-    return MapEvaluation(counts, claimed, reliability(p[c], s[c], EDGES))
+    return MapEvaluation(counts, claimed, reliability(p[c], s[c]))
 
 
 def truth_on_map_grid(

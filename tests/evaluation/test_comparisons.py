@@ -14,7 +14,6 @@ from lunarsim.evaluation.comparisons import (
     landing_ellipse,
     mean_difference,
     quantile_interval,
-    ratio_interval,
     share_difference,
     share_upper_bound,
 )
@@ -152,16 +151,3 @@ def test_a_confidence_sequence_at_its_ends():
     assert low < 0.5 < high and 0.002 < high - low < 0.006
     with pytest.raises(ValueError, match=r"between 0 and total \(3\)"):
         share_confidence_sequence(4, 3)
-
-
-def test_ratio_intervals_cover_the_pooled_fraction_of_correlated_groups():
-    rng, hits = np.random.default_rng(8), 0
-    for _ in range(300):
-        totals = rng.integers(5, 40, 30)
-        # All trials of a group have one probability, so that an interval by trials is too short.
-        counts = rng.binomial(totals, rng.choice([0.6, 1.0], 30))
-        low, high = ratio_interval(counts, totals, rng)
-        hits += low <= 0.8 <= high
-    assert binomtest(hits, 300, 0.93).pvalue > 1e-4
-    assert np.isnan(ratio_interval([3], [4], rng)).all()
-    assert ratio_interval([4, 6], [4, 6], rng) == (1.0, 1.0)

@@ -170,7 +170,7 @@ def test_rocks_and_scans_are_taken_into_one_filter(seed):
     assert nees.ratio < ratio_bounds(9, 1.25)[1]
 
 
-@pytest.fixture(scope="module", params=[(2,), pytest.param((1, 2, 3), marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=[(1, 2, 3)])
 def on_a_map(request):
     """Flights on a prior map: by camera and flash together, and by either, some seeds of each."""
     flown = {}
@@ -216,9 +216,8 @@ def test_with_both_sensors_on_a_map_errors_are_no_larger_than_with_either(on_a_m
             nees = nees.plus(normalised_squared_error(error_of(s), s.estimate.covariance), 9)
     both = spread.pop(("camera", "flash"))
     for eyes, alone in spread.items():
-        # Position and velocity: neither sensor adds error. The paths differ, which changes
-        # single flights by up to 21 % (vertical position, seed 2).
-        assert (both[:6] <= (1.15 if len(flights) > 1 else 1.25) * alone[:6]).all(), eyes
+        # Position and velocity: neither sensor adds error, except by the path that is flown.
+        assert (both[:6] <= 1.15 * alone[:6]).all(), eyes
     assert np.linalg.norm(both[3:6]) < 0.8 * np.linalg.norm(spread[("flash",)][3:6])
     assert np.linalg.norm(both[:3]) < 0.2 * np.linalg.norm(spread[("camera",)][:3])
     # The three flights of a seed share world and noise.

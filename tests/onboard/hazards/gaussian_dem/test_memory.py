@@ -82,4 +82,4 @@ def test_a_thousand_calls_keep_nothing():
     for _ in range(1000):
         chain(points, grid, 16)
     # One additional map of each kind per call would take 60 MB.
-    assert trimmed() - before < 6.0
+    assert trimmed() - before < 3.0
