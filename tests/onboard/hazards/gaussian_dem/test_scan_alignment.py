@@ -82,13 +82,17 @@ def test_the_map_moves_to_the_position_of_the_newest_scan():
         )
     assert np.subtract(mapper.grid.centre, here) == pytest.approx(shift[:2], abs=0.05)
     assert mapper.hazard_map().grid == mapper.grid
+    assert mapper.displacement == pytest.approx(shift, abs=0.05)
     points, _, _ = mapper.pool.vertices()
     true = rock_terrain(points[:, :2] - shift[:2]) + shift[2]
     assert np.median(np.abs(points[:, 2] - true)) < 0.02
 
 
 def test_a_site_that_was_chosen_on_the_map_moves_with_it(monkeypatch):
-    scenario = Scenario.from_dict({**TINY_FLIGHT, "decisions": {"last_altitude_m": 60.0}})
+    scenario = Scenario.from_dict({
+        **TINY_FLIGHT, "decisions": {"last_altitude_m": 60.0},
+        "tasking": {"flash": {"kind": "periodic", "rate_hz": 1.0}},
+    })  # fmt: skip
     flight = Simulation(scenario, 3, "safest")
     computer, scans = flight.computer, []
     monkeypatch.setattr(
@@ -102,14 +106,15 @@ def test_a_site_that_was_chosen_on_the_map_moves_with_it(monkeypatch):
         scans.append(measurement.time)
 
     monkeypatch.setattr(GaussianDemMapper, "update", take)
-    moved = []
+    # Scans before and after the first divert, and in the vertical descent.
+    scanned = {(False, Phase.APPROACH): 0, (True, Phase.APPROACH): 0, (True, Phase.VERTICAL): 0}
     while flight.outcome is None:
         before, count, diverts = computer.site, len(scans), len(computer.diverts)
         flight.step()
-        if len(computer.diverts) == diverts and computer.phase == Phase.APPROACH:
-            scanned = len(scans) - count
-            expected = np.array([0.1, -0.2]) * scanned * (diverts > 0)
+        if len(computer.diverts) == diverts:
+            new = len(scans) - count
+            moves = diverts > 0 and computer.phase == Phase.APPROACH
+            expected = np.array([0.1, -0.2]) * new * moves
             assert (computer.site - before)[:2] == pytest.approx(expected, abs=1e-9)
-            moved.append(scanned * (diverts > 0))
-    assert sum(moved) > 0
-    assert computer.diverts
+            scanned[diverts > 0, computer.phase] += new
+    assert min(scanned.values()) > 0
