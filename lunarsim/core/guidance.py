@@ -35,6 +35,8 @@ class VerticalDescentParams(NamedTuple):
     full_tilt_height: float
     low_height: float
     tolerated_speed: float
+    tolerated_offset: float
+    max_offset: float
     min_speed_fraction: float
     hold_propellant: float
     dry_mass: float
@@ -96,37 +98,64 @@ def _planned_deceleration(height, law):
 
 
 @kernel(exact=True)
-def _limit_descent_speed(state, height, nominal, mass, law):
-    """Return the vertical velocity, m/s, slower while the lander drifts too fast.
+def _limit_descent_speed(state, height, offset, is_far, nominal, mass, law):
+    """Return the vertical velocity, m/s, slower with a fast drift or beside the site.
 
     The result is `nominal`, the nominal vertical velocity, m/s (negative), if the lander can stop
-    its drift within `height`, m, above touchdown. Otherwise it falls to zero at a height where the
-    lander can tilt, which is higher for a faster drift; a lander below that height climbs slowly.
-    At a `mass` (kg) with little propellant left, the result is at least a fraction of `nominal`.
-    `state` (2, 3) is position and velocity; `law` is a `VerticalDescentParams`.
+    its drift and return from an `offset`, m, within `height`, m, above touchdown. Otherwise it
+    falls to zero at a height where the lander can tilt, which is higher for a faster drift and a
+    larger offset; a lander below that height climbs slowly. The result is at least a fraction of
+    `nominal` at a `mass` (kg) with little propellant left, and for an offset that is not far
+    (`is_far`). `state` (2, 3) is position and velocity; `law` is a `VerticalDescentParams`.
     """
     excess = max(np.hypot(state[1, 0], state[1, 1]) - law.tolerated_speed, 0.0)
     stopping = excess / _planned_deceleration(height, law)
-    if excess == 0.0 or -nominal * stopping <= height:
+    needed = max(stopping, _return_time(offset, law))
+    if needed == 0.0 or -nominal * needed <= height:
         return nominal
-    if mass <= law.dry_mass + law.hold_propellant:
-        return min(-height / stopping, law.min_speed_fraction * nominal)
-    held = law.low_height * min(excess / law.tolerated_speed, 1.0)
-    return min((held - height) / stopping, MAX_CLIMB_SPEED_M_S)
+    may_hold = is_far or (stopping > 0.0 and -nominal * stopping > height)
+    if not may_hold or mass <= law.dry_mass + law.hold_propellant:
+        return min(-height / needed, law.min_speed_fraction * nominal)
+    beside = offset / law.tolerated_offset - 1.0 if is_far else 0.0
+    held = law.low_height * min(max(excess / law.tolerated_speed, beside), 1.0)
+    return min((held - height) / needed, MAX_CLIMB_SPEED_M_S)
 
 
 @kernel(exact=True)
-def _position_gain(offset, height, nominal, law):
+def _return_time(offset, law):
+    """Return the time (s) in which the position loop reduces an offset (m) to the tolerated one.
+
+    The offset decreases exponentially at the rate ``frequency / (2 damping)``, 1/s. From beyond
+    twice the maximum offset the lander does not return: 0. `law` is a `VerticalDescentParams`.
+    """
+    if not law.tolerated_offset < offset <= 2.0 * law.max_offset:
+        return 0.0
+    return np.log(offset / law.tolerated_offset) * 2.0 * law.damping / law.frequency
+
+
+@kernel(exact=True)
+def _is_far(offset, law):
+    """Return whether the lander holds its height until it has returned from an offset, m.
+
+    It does not hold for an offset that a steady tilt error of up to the maximum tilt at touchdown
+    can cause, because the position loop would not remove it. `law` is a `VerticalDescentParams`.
+    """
+    steady = law.gravity * np.tan(law.max_tilt_at_touchdown) / law.frequency**2
+    return law.tolerated_offset + steady < offset <= 2.0 * law.max_offset
+
+
+@kernel(exact=True)
+def _position_gain(offset, height, planned, law):
     """Return the fraction of the position loop's gain used at an `offset`, m.
 
     The loop moves the lander towards the site at the speed ``frequency / (2 damping) offset``. This
     speed is limited to that from which the lander can slow down to half of the tolerated speed
-    during the nominal descent from `height`, m, so that the loop itself never slows the descent.
-    `nominal` is the nominal vertical velocity, m/s (negative), and `law` is a
+    during the descent from `height`, m, so that the loop itself never slows the descent. `planned`
+    is the vertical velocity of this descent, m/s (negative), and `law` is a
     `VerticalDescentParams`.
     """
     speed = law.frequency / (2.0 * law.damping) * offset
-    slowing = _planned_deceleration(height, law) * max(height, 0.0) / -nominal
+    slowing = _planned_deceleration(height, law) * max(height, 0.0) / -planned
     return min((0.5 * law.tolerated_speed + slowing) / speed, 1.0) if speed > 0.0 else 1.0
 
 
@@ -139,17 +168,18 @@ def vertical_descent_command(state, end, nominal, mass, law, command):
     `law` is a `VerticalDescentParams`.
     """
     height = state[0, 2] - end[2]
-    wanted = _limit_descent_speed(state, height, nominal, mass, law)
+    offset = np.hypot(state[0, 0] - end[0], state[0, 1] - end[1])
+    is_far = _is_far(offset, law)
+    wanted = _limit_descent_speed(state, height, offset, is_far, nominal, mass, law)
     tan_tilt = _tan_max_tilt(
         height, law.full_tilt_height if wanted == nominal else law.low_height, law
     )
     up = max(law.gravity + law.speed_gain * (wanted - state[1, 2]), 0.3 * law.gravity)
-    gain = law.frequency**2 * _position_gain(
-        np.hypot(state[0, 0] - end[0], state[0, 1] - end[1]), height, nominal, law
-    )
+    planned = law.min_speed_fraction * nominal if is_far else nominal
+    gain = law.frequency**2 * _position_gain(offset, height, planned, law)
     for k in range(2):
-        offset = state[0, k] - end[k]
-        command[k] = -gain * offset - 2.0 * law.damping * law.frequency * state[1, k]
+        toward = gain * (end[k] - state[0, k])
+        command[k] = toward - 2.0 * law.damping * law.frequency * state[1, k]
     limit, size = up * tan_tilt, np.hypot(command[0], command[1])
     if size > limit:
         command[0] *= limit / size

@@ -630,6 +630,7 @@ class TerminalDescentTable(SelectedPart):
     speed_gain_per_s: float
     stop_height_m: float
     time_constant_s: float
+    tolerated_offset_m: float
     tolerated_speed_m_s: float
     velocity_time_s: float
     zero_speed_height_m: float
@@ -657,6 +658,7 @@ class TerminalDescentChanges(TypedDict, total=False):
     speed_gain_per_s: float
     stop_height_m: float
     time_constant_s: float
+    tolerated_offset_m: float
     tolerated_speed_m_s: float
     velocity_time_s: float
     zero_speed_height_m: float

@@ -74,7 +74,8 @@ class VerticalDescent:
     """Vertical descent that holds speed and horizontal position.
 
     It is the law of the shadow EKF paper, section IV.B. If the lander drifts faster than it can
-    stop before touchdown, it descends more slowly, and holds its height until it can.
+    stop before touchdown, it descends more slowly, and holds its height until it can; likewise if
+    it is too far from its site to return to it before touchdown.
 
     Attributes
     ----------
@@ -93,13 +94,17 @@ class VerticalDescent:
         The same height during a slowed descent, m.
     tolerated_speed
         Tolerated horizontal speed, m/s.
+    tolerated_offset
+        Tolerated horizontal distance from the site, m.
     min_speed_fraction
-        Minimum descent speed as a fraction of the nominal one, once little propellant is left.
+        Minimum descent speed as a fraction of the nominal one, while the lander returns to its
+        site, and once little propellant is left.
     hold_propellant
         Propellant below which the lander no longer holds its height, kg.
     max_offset
         Horizontal distance from the site at which the lander may stop, m. If it would stop farther
-        away, the vertical descent does not begin: the lander hovers and approaches again.
+        away, the vertical descent does not begin: the lander hovers and approaches again. A
+        vertical descent farther than twice this distance from the site does not return to it.
     lag
         Total response lag of attitude control and engine, s.
     rotation
@@ -152,12 +157,19 @@ class VerticalDescent:
         help="horizontal speed at which the lander may touch down; above it, the lander descends "
         "more slowly and holds its height near the terrain",
     )
+    tolerated_offset: float = quantity(
+        1.0,
+        "m",
+        gt=0,
+        help="horizontal distance from the site at which the lander may touch down; farther away, "
+        "the lander descends more slowly, or holds its height, until it has returned",
+    )
     min_speed_fraction: float = quantity(
         0.25,
         gt=0,
         le=1,
-        help="minimum descent speed divided by the nominal one, if the propellant is below "
-        "hold_propellant_kg",
+        help="minimum descent speed divided by the nominal one, while the lander returns to its "
+        "site, or if the propellant is below hold_propellant_kg",
     )
     hold_propellant: float = quantity(
         10.0,
@@ -172,7 +184,8 @@ class VerticalDescent:
         "m",
         gt=0,
         help="horizontal distance from the site at which the lander can stop when the vertical "
-        "descent is due; if it is larger, the lander hovers and approaches the site again",
+        "descent is due; if it is larger, the lander hovers and approaches the site again. A "
+        "vertical descent farther than twice this distance from the site does not return to it",
     )
     lag: float = hidden(0.0)
     rotation: RotationLimits | None = hidden(None)

@@ -132,8 +132,13 @@ def test_a_distant_site_does_not_make_the_lander_drift_too_fast_to_land():
 
 
 @pytest.mark.parametrize("misalignment", [8.0, 10.0])
-def test_a_steady_force_above_the_tilt_at_touchdown_does_not_move_a_lander_that_holds(misalignment):
-    """The thrust axis is off by an angle that the law can compensate at 3 m, but not at 0.5 m."""
+def test_a_steady_force_above_the_tilt_at_touchdown_does_not_drag_the_lander_over_the_terrain(
+    misalignment,
+):
+    """The thrust axis is off by an angle that the law can compensate at 3 m, but not at 0.5 m.
+
+    The lander holds its height, or touches down while it comes to a stop.
+    """
     law = VerticalDescent(gravity=G)
     r, v, push = (
         np.array([0.0, 0.0, 2.0]),
@@ -144,8 +149,48 @@ def test_a_steady_force_above_the_tilt_at_touchdown_does_not_move_a_lander_that_
         a = law.command(estimate(r, v), GROUND, 0.01 * n) - np.array([-push, 0.0, G])
         v = v + 0.01 * a
         r = r + 0.01 * v
-        assert r[2] > 0.0
-    assert abs(v[0]) < 1.0
+        if r[2] <= 0.0:
+            break
+    assert abs(v[0]) < (1.0 if r[2] > 0.0 else law.tolerated_speed)
+
+
+@pytest.mark.parametrize(
+    ("lag", "offset", "drift"),
+    [(0.3, 3.0, 0.0), (0.3, 9.0, -1.5), (0.3, -9.0, -1.0), (2.0, 6.0, 1.5), (2.0, -10.0, 0.0)],
+)
+def test_the_lander_returns_to_its_site_before_touchdown(lag, offset, drift):
+    """Also if it drifts away from its site, and with a lag that slows the position loop."""
+    law = VerticalDescent().for_lag(lag, G, 1100.0)
+    kept = G * np.tan(np.deg2rad(2.0)) / law.frequency**2
+    r, v = np.array([offset, 0.0, 10.0]), np.array([drift, 0.0, -2.0])
+    nearest = r[2]
+    for n in range(12000):
+        v = v + 0.01 * (law.command(estimate(r, v), GROUND, 0.01 * n) - np.array([0.0, 0.0, G]))
+        r = r + 0.01 * v
+        if abs(r[0]) > law.tolerated_offset + kept:
+            nearest = min(nearest, r[2])
+        if r[2] <= 0.0:
+            break
+    assert r[2] <= 0.0
+    assert nearest > 1.5  # m: it does not go down beside its site
+    assert abs(r[0]) < law.tolerated_offset + 0.5 * kept
+    assert abs(v[0]) < law.tolerated_speed
+
+
+def test_a_steady_tilt_error_beside_the_site_does_not_keep_the_lander_in_the_air():
+    """With a tilt error of 2 deg the position loop keeps an offset, at which the lander lands."""
+    law = VerticalDescent().for_lag(2.0, G, 1100.0)
+    push = G * np.tan(np.deg2rad(2.0))
+    r, v = np.array([8.0, 0.0, 10.0]), np.array([0.0, 0.0, -2.0])
+    for n in range(12000):
+        a = law.command(estimate(r, v), GROUND, 0.01 * n) - np.array([-push, 0.0, G])
+        v = v + 0.01 * a
+        r = r + 0.01 * v
+        if r[2] <= 0.0:
+            break
+    assert r[2] <= 0.0
+    assert abs(v[0]) < law.tolerated_speed
+    assert abs(r[0]) < law.tolerated_offset + push / law.frequency**2
 
 
 @pytest.mark.parametrize(
