@@ -9,6 +9,10 @@ cells. With the terrain's gradient e at the site, the last term is at most ``s``
 ``|ax - ex| + |ay - ey| + |ex - gx| + |ey - gy|``: the first half is added once per site to the
 lids' heights, the second once per plane. Lids follow smooth terrain, so that few blocks have to be
 examined on any slope and curvature.
+
+Sites lie on every `stride`-th row and column of the elevation. The columns of a window are then
+grouped by their remainder modulo `stride`, so that sixteen neighbouring sites still read sixteen
+consecutive values.
 """
 
 from __future__ import annotations
@@ -42,13 +46,12 @@ from lunarsim.safety._kernels import (
     write_footprint_max,
 )
 from lunarsim.safety._plane_kernels import (
+    AHEAD,
     PLANE_ROWS,
     clear_unknown,
-    flat_offsets,
     squared_tangent,
     support_plane,
     terrain_under_pads,
-    window_shape,
 )
 from lunarsim.safety.footprint import BLOCK
 
@@ -195,17 +198,18 @@ def _max_in_block(z, site, columns, polygon, n, gx, gy):
 
     The planes have height 0 at their sites and the gradients (gx, gy) per cell. Only cells in the
     polygon of the legs count: `polygon` is (`corners`, flattened, and `allowed`) of
-    `PolygonBlocks`. `z` is the flat elevation of a window with `columns` columns, m, and `site` the
-    index of the first site in it.
+    `PolygonBlocks`, and the index offsets of the blocks' columns. `z` is the flat elevation of a
+    window with `columns` columns, m, and `site` the index of the first site in it.
     """
-    corners, allowed = polygon
+    corners, allowed, columns_of_blocks = polygon
     south, west = item(corners, 2 * n), item(corners, 2 * n + 1)
     top = lane_fill(-FAR)
     for r in range(BLOCK):
-        at = site + (south + r) * columns + west
+        at = site + (south + r) * columns
         line = lane_fill(-FAR)
         for c in range(BLOCK):
-            level = load(z, at + c) + item(allowed, (n * BLOCK + r) * BLOCK + c)
+            level = load(z, at + item(columns_of_blocks, n * BLOCK + c))
+            level = level + item(allowed, (n * BLOCK + r) * BLOCK + c)
             line = lane_max(line, level - np.float32(c) * gx)
         top = lane_max(top, line - np.float32(r) * gy)
     return top - np.float32(west) * gx - np.float32(south) * gy
@@ -279,17 +283,18 @@ def _drop_steep(tangent, limit, skip):
 
 @kernel()
 def _write_roughness(
-    window, site, columns, legs, footprint, polygon_blocks, posting, roughness_limit,
+    window, site, columns, legs, footprint, polygon_blocks, polygon, posting, roughness_limit,
     classify_only, start, lanes, lids,
 ):  # fmt: skip
     """Write the maximum roughness of sixteen sites over headings and support planes.
 
     The rows of `lanes` (4, 16) are: FAR for sites to skip, else 0; tan(slope), which is raised to
     its maximum over the headings examined; roughness, m (result); and the margin for rounding, m.
-    `window` is from `_prepare_tile`, `site` the index of the first site in it, `lids` are height
-    bounds from `_write_raised_lids`. With `classify_only`, the roughness is at least the limit, and
-    the loop ends when all sites exceed it. Headings are examined from index `start` on; the index
-    of the heading that raised a roughness last is returned.
+    `window` is from `_prepare_tile`, `site` the index of the first site in it, `polygon` is that of
+    `_max_in_block`, and `lids` are height bounds from `_write_raised_lids`. With `classify_only`,
+    the roughness is at least the limit, and the loop ends when all sites exceed it. Headings are
+    examined from index `start` on; the index of the heading that raised a roughness last is
+    returned.
     """
     z, feet = window[0], window[1]
     ex, ey = load(window[3], site), load(window[4], site)
@@ -299,7 +304,6 @@ def _write_roughness(
         polygon_blocks.centres,
         polygon_blocks.first,
     )
-    polygon = (polygon_blocks.corners.reshape(polygon_blocks.corners.size), polygon_blocks.allowed)
     headings = legs.shape[0]
     stride = _stride(headings)
     out, margin = load(lanes[0], 0), load(lanes[3], 0)
@@ -362,50 +366,96 @@ def _select_sites(selected, footprint_max, row, first_col, lanes):
 
 
 @kernel()
-def _prepare_tile(z, middle, footprint, r0, c0, window, footprint_max):
+def _prepare_tile(z, middle, footprint, stride, r0, c0, window, footprint_max):
     """Write the terrain windows of a tile, and the maximum height of each footprint.
 
     The tile begins at row `r0`, column `c0` of the raster `z`, m, whose heights have the middle
-    `middle`. `window` (5, rows, cols) becomes elevation, terrain under pads, and height and
-    gradient (2) of each block's bounding plane. Heights are relative to the tile's reference
-    height; unknown terrain is 0. `footprint_max` (sites of the tile) becomes the maximum absolute
-    height, FAR where a footprint contains unknown terrain or leaves the raster.
+    `middle`; its sites are `stride` cells apart. `window` (5, rows, cols) becomes elevation,
+    terrain under pads, and height and gradient (2) of each block's bounding plane, with columns
+    grouped by `_group_columns`. Heights are relative to the tile's reference height; unknown
+    terrain is 0. `footprint_max` (sites of the tile) becomes the maximum absolute height, FAR where
+    a footprint contains unknown terrain or leaves the raster.
     """
-    reach = footprint.reach
+    margin = site_margin(footprint, stride)
     _, tall, wide = window.shape
-    h, w = footprint_max.shape
+    h, w = (
+        stride * (footprint_max.shape[0] - 1) + 1,
+        stride * (footprint_max.shape[1] - 1) + 1,
+    )
     levels = allocate_levels(footprint, tall, wide)
     datum = tile_datum(z, middle, r0, c0, h, w)
-    load_window(z, middle, datum, r0 - reach, c0 - reach, window[0])
+    load_window(z, middle, datum, r0 - margin, c0 - margin, window[0])
     for i in range(tall):
         for j in range(wide):
             levels[0, i, j] = abs(window[0, i, j])
     fill_maxima(levels, footprint)
-    write_footprint_max(levels, footprint.depth, footprint.leg_windows, reach, footprint_max)
-    body = np.empty((h, w), np.float32)
-    write_footprint_max(levels, footprint.depth, footprint.body_windows, reach, body)
-    for i in range(h):
-        for j in range(w):
-            footprint_max[i, j] = max(footprint_max[i, j], body[i, j])
+    leg, body = np.empty((h, w), np.float32), np.empty((h, w), np.float32)
+    write_footprint_max(levels, footprint.depth, footprint.leg_windows, margin, leg)
+    write_footprint_max(levels, footprint.depth, footprint.body_windows, margin, body)
+    for i in range(footprint_max.shape[0]):
+        for j in range(footprint_max.shape[1]):
+            footprint_max[i, j] = max(leg[i * stride, j * stride], body[i * stride, j * stride])
     clear_unknown(window[0])
     terrain_under_pads(levels, window[0], footprint, window[1])
     window[2:] = np.float32(0.0)
     slopes = np.empty((2, tall // SQUARE, wide // SQUARE), np.float32)
     rows, cols = z.shape
     inside = (
-        max(reach - r0, 0),
-        min(h + 2 * reach, rows - r0 + reach) - 1,
-        max(reach - c0, 0),
-        min(w + 2 * reach, cols - c0 + reach) - 1,
+        max(margin - r0, 0),
+        min(h + 2 * margin, rows - r0 + margin) - 1,
+        max(margin - c0, 0),
+        min(w + 2 * margin, cols - c0 + margin) - 1,
     )
-    large_scale_gradients(window[0], inside, max(reach // 2, 1), slopes)
+    large_scale_gradients(window[0], inside, max(footprint.reach // 2, 1), slopes)
     flat = window.reshape(5, tall * wide)
     _write_lids(window[0], slopes, flat[2], flat[3], flat[4])
+    if stride > 1:
+        _group_columns(window, stride)
+
+
+@kernel()
+def site_margin(footprint, stride):
+    """Return the number of cells of a window around the sites of a tile, a multiple of `stride`."""
+    return (footprint.reach + stride - 1) // stride * stride
+
+
+@kernel()
+def _group_columns(window, stride):
+    """Sort the columns of a window (layers, rows, cols) by their remainder modulo `stride`.
+
+    Column c moves to ``(c % stride) (cols / stride) + c // stride``, as in `_column_offset`.
+    """
+    layers, tall, wide = window.shape
+    line = np.empty(wide, np.float32)
+    for n in range(layers):
+        for i in range(tall):
+            at = 0
+            for k in range(stride):
+                for j in range(k, wide, stride):
+                    line[at] = window[n, i, j]
+                    at += 1
+            for j in range(wide):
+                window[n, i, j] = line[j]
+
+
+@kernel(inline=True)
+def _column_offset(column, columns, stride):
+    """Return the index offset of a relative column in a window of grouped columns."""
+    return (column % stride) * (columns // stride) + column // stride
+
+
+@kernel()
+def _grouped_offsets(cells, columns, stride):
+    """Return index offsets (n,) of relative cells (n, 2), row and column, in such a window."""
+    out = np.empty(len(cells), np.int64)
+    for n in range(len(cells)):
+        out[n] = cells[n, 0] * columns + _column_offset(cells[n, 1], columns, stride)
+    return out
 
 
 @kernel()
 def _exact_tile(
-    window, footprint_max, selected, footprint, polygon_blocks, posting, slope_limit,
+    window, footprint_max, selected, footprint, polygon_blocks, stride, posting, slope_limit,
     roughness_limit, classify_only, slope_out, rough_out,
 ):  # fmt: skip
     """Write the maximum tan(slope) and roughness of the `selected` sites of a tile.
@@ -418,16 +468,25 @@ def _exact_tile(
     """
     columns = window.shape[2]
     flat = window.reshape(5, window.shape[1] * columns)
-    legs = flat_offsets(footprint.legs, columns)
-    corners = flat_offsets(polygon_blocks.distinct, columns)
+    shape = footprint.legs.shape
+    legs = _grouped_offsets(footprint.legs.reshape(-1, 2), columns, stride).reshape(shape[:2])
+    corners = _grouped_offsets(polygon_blocks.distinct, columns, stride)
+    blocks = polygon_blocks.corners
+    columns_of_blocks = np.empty(len(blocks) * BLOCK, np.int64)
+    for n in range(len(blocks)):
+        for c in range(BLOCK):
+            offset = _column_offset(blocks[n, 1] + c, columns, stride)
+            columns_of_blocks[n * BLOCK + c] = offset
+    polygon = (blocks.reshape(blocks.size), polygon_blocks.allowed, columns_of_blocks)
     lanes = np.zeros((4, SIMD_WIDTH), np.float32)
     lids = np.empty(len(corners) * SIMD_WIDTH, np.float32)
+    margin = site_margin(footprint, stride)
     start = 0
     for i in range(selected.shape[0]):
         for j in range(0, selected.shape[1], SIMD_WIDTH):
             if not _select_sites(selected, footprint_max, i, j, lanes):
                 continue
-            site = (i + footprint.reach) * columns + footprint.reach + j
+            site = (margin + stride * i) * columns + margin // stride + j
             lanes[1:3] = np.float32(0.0)
             if classify_only:
                 _steepest(flat[1], site, legs, footprint, posting, lanes[1])
@@ -435,8 +494,8 @@ def _exact_tile(
                 # The worst heading of one site is likely to be the worst of its neighbours.
                 _write_raised_lids(flat, site, corners, lids)
                 start = _write_roughness(
-                    flat, site, columns, legs, footprint, polygon_blocks, posting, roughness_limit,
-                    classify_only, start, lanes, lids,
+                    flat, site, columns, legs, footprint, polygon_blocks, polygon, posting,
+                    roughness_limit, classify_only, start, lanes, lids,
                 )  # fmt: skip
             for k in range(min(SIMD_WIDTH, selected.shape[1] - j)):
                 if selected[i, j + k] and footprint_max[i, j + k] < FAR:
@@ -457,6 +516,7 @@ def exact(
     selected,
     footprint,
     polygon_blocks,
+    stride,
     posting,
     slope_limit,
     roughness_limit,
@@ -466,10 +526,11 @@ def exact(
 ):
     """Write the maximum tan(slope) and roughness over headings and support planes.
 
-    `slope_out` and `rough_out` (rows, cols) receive tan(slope) and roughness (m) of the `selected`
-    sites (rows, cols) whose footprints are known; other cells are not written. `z` (rows, cols) is
-    the elevation, m, `middle` the middle of its heights; `footprint` and `polygon_blocks` are
-    `FootprintArrays` and `PolygonBlocks`; `slope_limit` is a tangent, `roughness_limit` is in m.
+    The sites (rows, cols) lie on every `stride`-th row and column of the elevation `z`, m, from the
+    first on; `middle` is the middle of its heights. `slope_out` and `rough_out` (rows, cols)
+    receive tan(slope) and roughness (m) of the `selected` sites (rows, cols) whose footprints are
+    known; other sites are not written. `footprint` and `polygon_blocks` are `FootprintArrays` and
+    `PolygonBlocks`; `slope_limit` is a tangent, `roughness_limit` is in m.
     With `classify_only`, a site is finished as soon as a limit is exceeded; then only the
     comparison with the limits is valid. `thread_slice` is (first tile, step between tiles) of one
     thread.
@@ -480,12 +541,14 @@ def exact(
         r0, r1, c0, c1 = tile_at(tile, across, PLANE_ROWS, rows, cols)
         if not selected[r0:r1, c0:c1].any():
             continue
-        tall, wide = window_shape(footprint, r1 - r0, c1 - c0)
+        margin = site_margin(footprint, stride)
+        tall = stride * (r1 - r0 - 1) + 1 + 2 * margin + AHEAD
+        wide = stride * (c1 - c0) + 2 * margin + SIMD_WIDTH * stride
         window = np.empty((5, tall, wide), np.float32)
         footprint_max = np.empty((r1 - r0, c1 - c0), np.float32)
-        _prepare_tile(z, middle, footprint, r0, c0, window, footprint_max)
+        _prepare_tile(z, middle, footprint, stride, stride * r0, stride * c0, window, footprint_max)
         _exact_tile(
-            window, footprint_max, selected[r0:r1, c0:c1], footprint, polygon_blocks, posting,
-            slope_limit, roughness_limit, classify_only, slope_out[r0:r1, c0:c1],
+            window, footprint_max, selected[r0:r1, c0:c1], footprint, polygon_blocks, stride,
+            posting, slope_limit, roughness_limit, classify_only, slope_out[r0:r1, c0:c1],
             rough_out[r0:r1, c0:c1],
         )  # fmt: skip

@@ -106,7 +106,12 @@ def exact_safety(
 
 
 def safe_sites(
-    elevation: ArrayLike, grid: Grid, lander: Lander, *, where: BoolMap | None = None
+    elevation: ArrayLike,
+    grid: Grid,
+    lander: Lander,
+    *,
+    where: BoolMap | None = None,
+    stride: int = 1,
 ) -> tuple[BoolMap, BoolMap]:
     """Return which cells are safe landing sites by the exact safety test.
 
@@ -119,17 +124,20 @@ def safe_sites(
     elevation, grid, lander
         As for `exact_safety`.
     where
-        Cells to evaluate (rows, cols); omitted: all. The others count as not observed.
+        Sites to evaluate; omitted: all. The others count as not observed.
+    stride
+        Distance between sites, cells: sites are the cells ``[::stride, ::stride]``, and the results
+        and `where` have their shape. Terrain finer than the distance between sites then counts.
 
     Returns
     -------
     safe, observed
-        Whether a lander centred on each cell is safe, False where not observed, and whether its
-        complete footprint is known terrain; each (rows, cols).
+        Whether a lander centred on each site is safe, False where not observed, and whether its
+        complete footprint is known terrain.
     """
     footprint = footprint_of(lander, grid.posting)
     height = prepare_elevation("elevation", elevation, grid, footprint)
-    span, rise = height_differences(height, footprint)
+    span, rise = (each[::stride, ::stride] for each in height_differences(height, footprint))
     observed = rise < k.FAR
     if where is not None:
         observed &= where
@@ -137,7 +145,7 @@ def safe_sites(
         rise < lander.roughness_limit
     )
     todo = observed & ~clearly_safe
-    tangent, roughness = _evaluate(height, todo, footprint, lander, grid.posting, True)
+    tangent, roughness = _evaluate(height, todo, footprint, lander, grid.posting, True, stride)
     passed = (np.arctan(tangent) < lander.slope_limit) & (roughness < lander.roughness_limit)
     return observed & (clearly_safe | passed), observed
 
@@ -161,6 +169,7 @@ def _evaluate(
     lander: Lander,
     posting: float,
     classify_only: bool,
+    stride: int = 1,
 ) -> tuple[FloatMap, FloatMap]:
     """Return the exact tan(slope) and roughness (m) of the `selected` cells.
 
@@ -176,6 +185,7 @@ def _evaluate(
         selected,
         footprint.cells,
         footprint.covers(BLOCK),
+        stride,
         np.float32(posting),
         np.float32(np.tan(lander.slope_limit)),
         # Reaching the limit is unsafe; the kernel tests for values above its argument.

@@ -22,7 +22,7 @@ from lunarsim.safety._kernels import FAR
 from lunarsim.typing import Array, BoolArray, IntArray
 
 MAX_LEG_DISTANCE_CELLS = 256  # maximum distance from the lander's centre to a leg, cells
-BLOCK = 4  # side of the blocks that the exact test skips or examines, cells
+BLOCK = 6  # side of the blocks that the exact test skips or examines, cells
 
 
 class FootprintArrays(NamedTuple):

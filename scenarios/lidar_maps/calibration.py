@@ -29,7 +29,6 @@ from rich.table import Table
 from scene_cache import SceneSites, load_or_evaluate
 from worlds import LANDERS, RANGES, RELIEFS, ROCKS, UPRIGHT, LidarScene, sample_matrix
 
-from lunarsim import exact_safety
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.evaluation.reliability import (
@@ -47,6 +46,7 @@ from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import dem_site_evidence
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, new_figure, save
+from lunarsim.world.site_safety import site_safety
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -63,12 +63,12 @@ def evaluate_scene(scene: LidarScene) -> SceneSites:
     scan, position = scene.simulate_scan(terrain)
     pool.add(scan.points(position, UPRIGHT), scan.height_sigma(UPRIGHT), scan.spacing(UPRIGHT))
     evidence = dem_site_evidence(pooled_dem(pool), lander, RockExpectation())
-    truth = exact_safety(terrain.raster(grid), grid, lander)
-    sites = np.flatnonzero(evidence.observed & truth.observed)
+    sites = np.flatnonzero(evidence.observed)
     sites = scene.rng(4).choice(sites, min(SITES, len(sites)), replace=False)
     where = np.zeros(grid.shape, bool)
     where.ravel()[sites] = True
-    return SceneSites.of(scene, evidence, where, truth.safe[where])
+    safe, where = site_safety(terrain, grid, lander, where=where)
+    return SceneSites.of(scene, evidence, where, safe[where])
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,11 @@ from calibration import SITES, CalibrationMethod, options, study
 from scene_cache import SceneSites
 from worlds import LANDERS, UPRIGHT, LidarScene, sample_matrix
 
-from lunarsim import exact_safety
 from lunarsim.onboard.calibration.quadtree import QUADTREE
 from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector, SiteSettings
 from lunarsim.onboard.hazards.quadtree.site_evidence import quadtree_site_evidence
 from lunarsim.rocks.population import RockExpectation
+from lunarsim.world.site_safety import site_safety
 
 FLASHES = 4
 # Ratio of the half side of the landing zone to that of the lander footprint, as in the paper.
@@ -50,15 +50,17 @@ def evaluate_scene(scene: LidarScene) -> SceneSites:
     evidence = quadtree_site_evidence(
         quadtree, selection, settings.zone_half_side, noise, lander, RockExpectation()
     )
-    truth = exact_safety(terrain.raster(grid), grid, lander)
-    row, col = grid.cell(selection.position[:, :2])
-    inside = (row >= 0) & (col >= 0) & (row < grid.rows) & (col < grid.cols)
-    row, col = np.clip(row, 0, grid.rows - 1), np.clip(col, 0, grid.cols - 1)
-    sites = np.flatnonzero(evidence.observed & inside & truth.observed[row, col])
+    xy = selection.position[:, :2]
+    sites = np.flatnonzero(evidence.observed & grid.contains(xy))
     sites = np.sort(scene.rng(4).choice(sites, min(SITES, len(sites)), replace=False))
-    where = np.zeros(len(row), bool)
+    row, col = grid.cell(xy[sites])
+    cells = np.zeros(grid.shape, bool)
+    cells[row, col] = True
+    safe, known = site_safety(terrain, grid, lander, where=cells)
+    sites = sites[known[row, col]]
+    where = np.zeros(len(xy), bool)
     where[sites] = True
-    return SceneSites.of(scene, evidence, where, truth.safe[row, col][where])
+    return SceneSites.of(scene, evidence, where, safe[row, col][known[row, col]])
 
 
 def sample_scenes(count: int, seed: int) -> list[LidarScene]:
