@@ -105,10 +105,8 @@ def fly(
             click.echo(f"warning: {forecast}", err=True)
         record = simulation.run()
         if out is not None:
-            from lunarsim.viz import truth_in_map_figure
-
             # This call compiles kernels, so it must run inside the block that counts them.
-            truth = truth_in_map_figure(record, simulation.world, simulation.lander)
+            simulation.truth.is_safe_at(simulation.site[:2])
     if out is not None:
         # Save before printing: the reader of a pipe may close it early.
         remove = new_contents_remover(out)
@@ -123,7 +121,7 @@ def fly(
         from lunarsim.viz import draw_flight
 
         try:
-            draw_flight(record, simulation.world, truth, out)
+            draw_flight(record, simulation.world, simulation.truth, out)
         except OSError:
             remove()
             raise

@@ -97,7 +97,7 @@ def _draw_maps(
     left.figure.colorbar(drawn, ax=left, label="p_safe", fraction=0.046)
     outside = np.where(hazard_map.observed & ~hazard_map.in_domain, 1.0, np.nan)
     left.contourf(outside, levels=[0.5, 1.5], colors="none", hatches=["////"], extent=extent)
-    exact = truth.safety
+    exact = truth.within(extent)
     right.imshow(exact.safe, origin="lower", extent=exact.grid.extent, interpolation="nearest",
                  cmap=ListedColormap(["#e08030", "#8cc4e8"]))  # fmt: skip
     aim, touchdown = flight.sites[0] - flight.map_error, flight.outcome.touchdown

@@ -1,20 +1,20 @@
 """Terrain of a flight and its true landing safety, shared by all arms and cached.
 
 Terrain and rocks are generated again for each flight index, which takes hundredths of a second.
-The exact safety map takes half a second and more; it is what the cache stores.
+The safe fraction of the target area takes longer; it is what the cache stores.
 """
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lunarsim.campaign.cache import Arrays, DiskCache
 from lunarsim.campaign.factors import GROUND_TABLES, TRUTH_TABLES, tables_as_text
 from lunarsim.campaign.provenance import file_digests
-from lunarsim.grid import Grid
 from lunarsim.rng import RandomStreams
 from lunarsim.safety import SafetyMap
 from lunarsim.scenario import Scenario
@@ -51,8 +51,19 @@ class WorldTruthProvider:
         self.memory.setdefault(terrain_key, world.terrain)
         known = ("truth", tables_as_text(scenario, TRUTH_TABLES))
         if known not in self.memory:
-            self.memory[known] = self._truth(scenario, world)
+            self.memory[known] = TerrainTruth.of(world, scenario.vehicle.make())
         return world, self.memory[known]
+
+    def raster(self, scenario: Scenario) -> tuple[World, SafetyMap, NDArray[np.float32]]:
+        """Return the world, the safety of its raster (`TerrainTruth.raster_safety`) and elevation.
+
+        The elevation (rows, cols) is that of the cells, m.
+        """
+        world, truth = self.world_and_truth(scenario)
+        key = ("truth", tables_as_text(scenario, TRUTH_TABLES))
+        found = self._cached(key, scenario, lambda: _raster_arrays(truth))
+        maps = (found[name] for name in ("slope", "roughness", "safe", "observed"))
+        return world, SafetyMap(truth.grid, *maps), found["elevation"]
 
     def shares(self, scenario: Scenario, truth: TerrainTruth) -> dict[str, float]:
         """Return the fractions of the target area that are truly safe to land on.
@@ -65,15 +76,6 @@ class WorldTruthProvider:
             found = self._cached(key, scenario, lambda: _compute_shares(scenario, truth))
             self.memory[key] = {name: float(found[name]) for name in SAFE_SHARE_COLUMNS}
         return self.memory[key]  # type: ignore[no-any-return]
-
-    def _truth(self, scenario: Scenario, world: World) -> TerrainTruth:
-        lander = scenario.vehicle.make()
-        key = ("truth", tables_as_text(scenario, TRUTH_TABLES))
-        found = self._cached(key, scenario, lambda: _truth_arrays(TerrainTruth.of(world, lander)))
-        x0, y0, posting, rows, cols = found["grid"]
-        grid = Grid(float(x0), float(y0), float(posting), int(rows), int(cols))
-        maps = (found[name] for name in ("slope", "roughness", "safe", "observed"))
-        return TerrainTruth(SafetyMap(grid, *maps), found["elevation"], lander)
 
     def _cached(self, key: tuple[Any, ...], scenario: Scenario, make: Any) -> Arrays:
         """Return arrays from the disk cache; compute them with `make` if they are missing.
@@ -89,15 +91,14 @@ class WorldTruthProvider:
         return self.cache.get(key[0], repr((key, sorted(files.items()), seed)), make)
 
 
-def _truth_arrays(truth: TerrainTruth) -> Arrays:
-    safety = truth.safety
+def _raster_arrays(truth: TerrainTruth) -> Arrays:
+    safety = truth.raster_safety()
     return {
-        "grid": np.array(astuple(safety.grid)),
         "slope": safety.slope,
         "roughness": safety.roughness,
         "safe": safety.safe,
         "observed": safety.observed,
-        "elevation": truth.elevation,
+        "elevation": truth.terrain.raster(truth.grid),
     }
 
 

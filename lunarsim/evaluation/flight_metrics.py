@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from lunarsim.evaluation.map_quality import MapQuality, map_quality
+from lunarsim.evaluation.map_quality import MapQuality, evaluated_step, map_quality
 from lunarsim.evaluation.reach import divert_cost_from
 from lunarsim.models.lander import Lander
 from lunarsim.simulation.flight import Flight
@@ -61,7 +61,7 @@ def evaluate(flight: Flight, truth: TerrainTruth) -> dict[str, Any]:
 
     The columns and their types are in `COLUMNS`.
 
-    Map counts include observed cells only; a cell is classified safe if p_safe > 0.5.
+    Map counts include observed cells only, 0.4 m apart; a cell is classified safe if p_safe > 0.5.
 
     Parameters
     ----------
@@ -179,7 +179,8 @@ def safe_site_in_reach(flight: Flight, truth: TerrainTruth) -> bool:
     m, first = flight.hazard_map, flight.first_map
     if m is None or first is None:
         return False
-    xy = m.grid.centres()[m.observed]
+    step = evaluated_step(m.grid)
+    xy = m.grid.centres()[::step, ::step][m.observed[::step, ::step]]
     spots = xy[truth.is_safe_at(xy - flight.map_error[:2])]
     spots = spots[:: max(1, len(spots) // _MAX_TESTED_SITES)]
     if len(spots) == 0:

@@ -13,6 +13,9 @@ from lunarsim.typing import BoolArray
 from lunarsim.world.terrain import Terrain
 from lunarsim.world.truth import TerrainTruth
 
+# Distance between evaluated cells of a map, m; the safety of nearer cells is nearly the same.
+_EVALUATED_POSTING_M = 0.4
+
 
 @dataclass(frozen=True)
 class MapQuality:
@@ -99,7 +102,7 @@ class MapQuality:
 def map_quality(
     hazard_map: HazardMap, truth: TerrainTruth, error: ArrayLike, level: float = 0.5
 ) -> MapQuality:
-    """Count the observed cells of a hazard map by predicted and true safety.
+    """Count observed cells of a hazard map, 0.4 m apart, by predicted and true safety.
 
     Parameters
     ----------
@@ -112,20 +115,26 @@ def map_quality(
 
     Examples
     --------
-    >>> from lunarsim import exact_safety
+    >>> from lunarsim import Heightfield, Terrain
     >>> from lunarsim.api import Lander
     >>> grid = Grid.centred((0.0, 0.0), 20.0, 0.5)
     >>> z = np.where(grid.x < 0.0, 0.0, 0.5 * grid.x) * np.ones((grid.rows, 1))  # steep in the east
-    >>> truth = TerrainTruth(exact_safety(z, grid, Lander()), z, Lander())
-    >>> p_safe = truth.safety.safe.astype(np.float32)
-    >>> optimistic = HazardMap(grid, np.full_like(p_safe, 0.9), truth.safety.observed)
+    >>> truth = TerrainTruth(Terrain(Heightfield(grid, z)), grid, Lander())
+    >>> observed = truth.is_known_at(grid.centres())
+    >>> optimistic = HazardMap(grid, np.full(grid.shape, 0.9, np.float32), observed)
     >>> quality = map_quality(optimistic, truth, error=np.zeros(3))
     >>> quality.recall, quality.precision == quality.safe_share
     (1.0, True)
     """
-    seen = hazard_map.observed
-    xy = hazard_map.grid.centres()[seen] - np.asarray(error)[:2]
-    return MapQuality.of(hazard_map.p_safe[seen] > level, truth.is_safe_at(xy))
+    step = evaluated_step(hazard_map.grid)
+    seen = hazard_map.observed[::step, ::step]
+    xy = hazard_map.grid.centres()[::step, ::step][seen] - np.asarray(error)[:2]
+    return MapQuality.of(hazard_map.p_safe[::step, ::step][seen] > level, truth.is_safe_at(xy))
+
+
+def evaluated_step(grid: Grid) -> int:
+    """Return the number of cells of a map between two rows or columns that are evaluated."""
+    return max(1, round(_EVALUATED_POSTING_M / grid.posting))
 
 
 def true_elevation_in_map_frame(

@@ -186,10 +186,13 @@ def sample_sites(
     """
     grid = evidence.horizontal_plane.grid
     xy = grid.centres() - np.asarray(error)[:2]
-    sites = np.flatnonzero(evidence.observed & truth.is_known_at(xy))
+    sites = np.flatnonzero(evidence.observed)
     where = np.zeros(grid.shape, np.bool_)
     where.ravel()[rng.choice(sites, min(count, len(sites)), replace=False)] = True
-    return SiteSamples.of(evidence, where, truth.is_safe_at(xy), flight)
+    safe = np.zeros(grid.shape, np.bool_)
+    safe[where] = truth.is_safe_at(xy[where])
+    where[where] = truth.is_known_at(xy[where])
+    return SiteSamples.of(evidence, where, safe, flight)
 
 
 @dataclass(frozen=True)

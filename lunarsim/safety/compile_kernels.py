@@ -15,7 +15,7 @@ import numpy as np
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.safety.bounded import bounded_safety
-from lunarsim.safety.exact import exact_safety
+from lunarsim.safety.exact import safe_sites
 from lunarsim.safety.planes import plane_stochastic_safety
 
 
@@ -30,7 +30,7 @@ def compile_safety_kernels(exact: bool) -> None:
     plane_stochastic_safety(level, level, grid, lander)
     bounded_safety(level, grid, lander)
     if exact:
-        exact_safety(level, grid, lander)
+        safe_sites(level, grid, lander)
 
 
 def exit_with_parent(parent: int) -> None:

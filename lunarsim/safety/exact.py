@@ -86,16 +86,7 @@ def exact_safety(
     >>> bool(found.safe[30, 30]), round(float(found.roughness[30, 30]), 2)
     (False, 0.6)
     """
-    footprint = footprint_of(lander, grid.posting)
-    if heading is not None:
-        if not (
-            isinstance(heading, (int, float, np.number))
-            and np.isrealobj(heading)
-            and np.isfinite(heading)
-        ):
-            raise InputError("heading", heading, "must be a finite number, an azimuth in rad")
-        index = footprint.nearest_heading(lander, grid.posting, heading)
-        footprint = footprint.one_heading(index)
+    footprint = _footprint(lander, grid.posting, heading)
     height = prepare_elevation("elevation", elevation, grid, footprint)
     everywhere = np.ones(grid.shape, np.bool_)
     tangent, roughness = _evaluate(height, everywhere, footprint, lander, grid.posting, False)
@@ -110,6 +101,7 @@ def safe_sites(
     grid: Grid,
     lander: Lander,
     *,
+    heading: float | None = None,
     where: BoolMap | None = None,
     stride: int = 1,
 ) -> tuple[BoolMap, BoolMap]:
@@ -121,7 +113,7 @@ def safe_sites(
 
     Parameters
     ----------
-    elevation, grid, lander
+    elevation, grid, lander, heading
         As for `exact_safety`.
     where
         Sites to evaluate; omitted: all. The others count as not observed.
@@ -135,7 +127,7 @@ def safe_sites(
         Whether a lander centred on each site is safe, False where not observed, and whether its
         complete footprint is known terrain.
     """
-    footprint = footprint_of(lander, grid.posting)
+    footprint = _footprint(lander, grid.posting, heading)
     height = prepare_elevation("elevation", elevation, grid, footprint)
     span, rise = (each[::stride, ::stride] for each in height_differences(height, footprint))
     observed = rise < k.FAR
@@ -148,6 +140,23 @@ def safe_sites(
     tangent, roughness = _evaluate(height, todo, footprint, lander, grid.posting, True, stride)
     passed = (np.arctan(tangent) < lander.slope_limit) & (roughness < lander.roughness_limit)
     return observed & (clearly_safe | passed), observed
+
+
+def _footprint(lander: Lander, posting: float, heading: float | None) -> Footprint:
+    """Return the footprint of a lander at all headings, or at one azimuth of body x, rad.
+
+    `posting` is the grid spacing, m.
+    """
+    footprint = footprint_of(lander, posting)
+    if heading is None:
+        return footprint
+    if not (
+        isinstance(heading, (int, float, np.number))
+        and np.isrealobj(heading)
+        and np.isfinite(heading)
+    ):
+        raise InputError("heading", heading, "must be a finite number, an azimuth in rad")
+    return footprint.one_heading(footprint.nearest_heading(lander, posting, heading))
 
 
 def height_differences(height: ElevationRaster, footprint: Footprint) -> tuple[FloatMap, FloatMap]:

@@ -53,8 +53,7 @@ class Checkpoint:
 
     def __init__(self, simulation: Simulation) -> None:
         world = simulation.world
-        self._shared = (world, world.terrain, simulation.truth, simulation.truth.safety,
-                        simulation.scenario)  # fmt: skip
+        self._shared = (world, world.terrain, simulation.truth, simulation.scenario)
         file = io.BytesIO()
         try:
             _Writer(file, self._shared).dump(simulation)

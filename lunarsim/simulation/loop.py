@@ -236,7 +236,7 @@ class Simulation:
 
     @property
     def truth(self) -> TerrainTruth:
-        """True landing safety of the terrain, computed at the first access."""
+        """True landing safety of the terrain; sites are evaluated when they are needed."""
         if self._truth is None:
             self._truth = TerrainTruth.of(self.world, self.lander)
         return self._truth

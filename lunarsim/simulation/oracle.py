@@ -10,16 +10,20 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from scipy import ndimage
 
 from lunarsim.onboard.guidance.divert_cost import DivertCost
 from lunarsim.onboard.policies.contract import Decision, Observation
 from lunarsim.parts.quantity import hidden, quantity
-from lunarsim.typing import Array
+from lunarsim.typing import Array, BoolArray
 from lunarsim.world.truth import TerrainTruth
 
 # If there are n times as many sites, only every n-th in order of distance is tested for
 # reachability.
 _MAX_TESTED_SITES = 64
+# Squares around the landing site that are searched in turn: half of the side, m, and number of
+# sites along a side.
+_HALF_SIDES_M, _SITES_ALONG_SIDE = (25.0, 50.0, 100.0, 200.0, 400.0), 256
 # Clearance in standard deviations of the expected miss; 0.95 of all misses are smaller.
 _CLEARANCE_SIGMAS = 2.5
 
@@ -76,31 +80,60 @@ class TruthOracle:
         cost_of
             Function that returns the divert cost of sites (n, 3), local frame.
         """
-        grid = truth.safety.grid
-        clearance = truth.clearance
         here = observation.site - error
         required = max(self.min_clearance, _CLEARANCE_SIGMAS * observation.expected_miss)
-        row, col = (int(v) for v in grid.cell(here[:2]))
-        if 0 <= row < grid.rows and 0 <= col < grid.cols and clearance[row, col] >= required:
-            return Decision.keep("truly safe")
+        for half_side in _HALF_SIDES_M:
+            xy, z, clearance = _sites_around(truth, here[:2], half_side)
+            distance = np.hypot(xy[:, 0] - here[0], xy[:, 1] - here[1])
+            nearest = int(np.argmin(distance))
+            if distance[nearest] <= 1.0 and clearance[nearest] >= required:
+                return Decision.keep("truly safe")
+            found = _nearest_reachable(xy, z, distance, clearance >= required, error, cost_of)
+            if found is not None:
+                return found
         # If no site has this clearance, accept 0.8 of the maximum clearance.
-        enough = min(required, 0.8 * float(clearance.max()))
-        cells = np.argwhere(clearance >= max(enough, 1e-9))
-        if len(cells) == 0:
-            return Decision.keep("no truly safe site")
-        xy = grid.centre_of(cells[:, 0], cells[:, 1])
-        distance = np.hypot(xy[:, 0] - here[0], xy[:, 1] - here[1])
-        order = np.argsort(distance, kind="stable")
-        order = order[:: max(1, len(order) // _MAX_TESTED_SITES)]
-        z = truth.elevation[cells[order, 0], cells[order, 1]].astype(np.float64)
-        sites = np.column_stack((xy[order], z)) + error
-        cost = cost_of(sites)
-        reachable = np.flatnonzero(cost.feasible)
-        if reachable.size == 0:
-            return Decision.keep("no truly safe site within reach")
-        first = int(reachable[0])
-        return Decision(
-            sites[first],
-            "nearest truly safe site",
-            {"propellant_kg": float(cost.propellant[first])},
-        )
+        enough = max(min(required, 0.8 * float(clearance.max())), 1e-9)
+        found = _nearest_reachable(xy, z, distance, clearance >= enough, error, cost_of)
+        return Decision.keep("no truly safe site within reach") if found is None else found
+
+
+def _sites_around(
+    truth: TerrainTruth, centre: Array, half_side: float
+) -> tuple[Array, Array, Array]:
+    """Return position (n, 2), elevation and clearance (n,) of the sites in a square, m.
+
+    `centre` (2,) is that of the square, `half_side` half of its side, m. The clearance is the
+    distance to the nearest unsafe site; sites beyond the square count as unsafe.
+    """
+    (east, north), half = centre, half_side
+    square = truth.within((east - half, east + half, north - half, north + half), _SITES_ALONG_SIDE)
+    cells = ndimage.distance_transform_edt(np.pad(square.safe, 1))[1:-1, 1:-1]
+    xy = square.grid.centres().reshape(-1, 2)
+    return xy, square.elevation.ravel().astype(np.float64), cells.ravel() * square.grid.posting
+
+
+def _nearest_reachable(
+    xy: Array,
+    z: Array,
+    distance: Array,
+    suitable: BoolArray,
+    error: Array,
+    cost_of: Callable[[Array], DivertCost],
+) -> Decision | None:
+    """Return a divert to the nearest suitable site in reach; None if there is none.
+
+    Sites (n,) have positions `xy`, elevations `z` and a horizontal `distance`, m.
+    """
+    order = np.flatnonzero(suitable)
+    order = order[np.argsort(distance[order], kind="stable")]
+    order = order[:: max(1, len(order) // _MAX_TESTED_SITES)]
+    if not len(order):
+        return None
+    sites = np.column_stack((xy[order], z[order])) + error
+    cost = cost_of(sites)
+    reachable = np.flatnonzero(cost.feasible)
+    if reachable.size == 0:
+        return None
+    first = int(reachable[0])
+    details = {"propellant_kg": float(cost.propellant[first])}
+    return Decision(sites[first], "nearest truly safe site", details)

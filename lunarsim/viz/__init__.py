@@ -1,6 +1,6 @@
 """Figures of flights and comparisons."""
 
 from lunarsim.viz.comparison import draw_comparison
-from lunarsim.viz.flight import FlightFigures, draw_flight, plot_flight, truth_in_map_figure
+from lunarsim.viz.flight import FlightFigures, draw_flight, plot_flight
 
-__all__ = ["FlightFigures", "draw_comparison", "draw_flight", "plot_flight", "truth_in_map_figure"]
+__all__ = ["FlightFigures", "draw_comparison", "draw_flight", "plot_flight"]

@@ -9,22 +9,15 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from lunarsim.models.lander import Lander
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.worlds import rebuild_world
 from lunarsim.viz.descent import draw_descent
 from lunarsim.viz.footprint import draw_footprint
-from lunarsim.viz.map_bounds import map_figure_bounds
 from lunarsim.viz.maps import draw_maps
 from lunarsim.viz.style import save
 from lunarsim.world import World
 from lunarsim.world.truth import TerrainTruth
-
-
-def truth_in_map_figure(flight: Flight, world: World, lander: Lander) -> TerrainTruth:
-    """Return the exact safety of the terrain that a flight's ``maps.png`` shows."""
-    return TerrainTruth.of(world, lander, bounds=map_figure_bounds(flight, world))
 
 
 @dataclass(frozen=True)
@@ -77,7 +70,7 @@ def plot_flight(
     world
         World of the flight; omitted: generated again from the flight's scenario and seed.
     truth
-        Exact safety of the world, or of the part in the figure; omitted: computed.
+        Exact safety of the world; omitted: computed.
 
     Raises
     ------
@@ -87,9 +80,8 @@ def plot_flight(
     if world is None:
         world = rebuild_world(flight)
     if truth is None:
-        truth = truth_in_map_figure(
-            flight, world, Scenario.world_from_toml(flight.scenario).true_lander()
-        )
+        lander = Scenario.world_from_toml(flight.scenario).true_lander()
+        truth = TerrainTruth.of(world, lander)
     landed = flight.outcome.touchdown is not None
     return FlightFigures(
         draw_descent(flight),

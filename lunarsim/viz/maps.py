@@ -22,7 +22,7 @@ from lunarsim.simulation.map_record import map_remarks_by_mapper
 from lunarsim.viz.map_bounds import divert_segments, map_figure_bounds
 from lunarsim.viz.style import COLOURS, flight_title, hillshade, map_axes, new_figure, save, show
 from lunarsim.world import World
-from lunarsim.world.truth import TerrainTruth
+from lunarsim.world.truth import TerrainTruth, TruthMap
 
 # White with a black edge, visible on dark and bright terrain.
 _CANDIDATE: dict[str, Any] = {
@@ -37,7 +37,7 @@ _DIVERT_COLOUR = COLOURS[3]
 # Characters per line that fit a panel, for tall and for other terrain.
 _LINE_LENGTH = {True: 34, False: 60}
 # Maximum number of cells along a side of a raster, above the pixels of a panel.
-_MAX_CELLS = 1500
+_MAX_CELLS = 400
 # Number of cells along the longer side of the grid for the area in reach.
 _REACH_CELLS = 100
 # White under the black line, visible on dark and bright terrain.
@@ -78,7 +78,7 @@ def draw_maps(
     flight, world
         Record and world of the flight.
     truth
-        Exact landing safety, at least within these bounds.
+        Exact landing safety of the terrain.
     path
         PNG file to write.
     """
@@ -86,12 +86,12 @@ def draw_maps(
     tall = (north - south) > 1.25 * (east - west)
     figure = new_figure(12.5 if tall else 10.5, 7.4 if tall else 11.4)
     panels = figure.subplots(1, 4, sharey=True) if tall else figure.subplots(2, 2).ravel()
-    truth = truth.within(bounds, _MAX_CELLS)
-    grid = truth.safety.grid
-    shade = hillshade(truth.elevation, grid.posting)
+    drawn = truth.within(bounds, _MAX_CELLS)
+    grid = drawn.grid
+    shade = hillshade(drawn.elevation, grid.posting)
     for panel in panels:
         show(panel, shade, grid, cmap="gray", vmin=0.2, vmax=1.0)
-    _draw_truth(figure, panels[0], panels[1], truth)
+    _draw_truth(figure, panels[0], panels[1], drawn)
     _draw_map(figure, panels[2], flight, _LINE_LENGTH[tall])
     _draw_measurements(figure, panels[3], flight)
     outlines = draw_reach(panels[2], flight, bounds)
@@ -112,12 +112,12 @@ def draw_maps(
     return figure
 
 
-def _draw_truth(figure: Any, left: Any, right: Any, truth: TerrainTruth) -> None:
-    grid = truth.safety.grid
+def _draw_truth(figure: Any, left: Any, right: Any, truth: TruthMap) -> None:
+    grid = truth.grid
     tint = show(left, truth.elevation, grid, cmap="cividis", alpha=0.45)
     _add_colour_bar(figure, tint, left, "Elevation (m)")
     map_axes(left, "True terrain")
-    classes = np.where(truth.safety.observed, np.where(truth.safety.safe, 2.0, 1.0), 0.0)
+    classes = np.where(truth.observed, np.where(truth.safe, 2.0, 1.0), 0.0)
     palette = ListedColormap(["#bbbbbb", "#D55E00", "#56B4E9"])
     drawn = show(right, classes, grid, cmap=palette, vmin=-0.5, vmax=2.5, alpha=0.6)
     bar = _add_colour_bar(figure, drawn, right, "Safety at every heading")

@@ -22,6 +22,7 @@ def site_safety(
     sites: Grid,
     lander: Lander,
     *,
+    heading: float | None = None,
     where: BoolArray | None = None,
     posting: float = CONVERGED_POSTING_M,
 ) -> tuple[BoolArray, BoolArray]:
@@ -38,6 +39,8 @@ def site_safety(
         Grid of the sites, the lander's centres.
     lander
         Geometry and limits of the lander.
+    heading
+        Azimuth of body x (rad) to evaluate only one heading; omitted: all headings.
     where
         Sites to evaluate (rows, cols); omitted: all. The others count as not observed.
     posting
@@ -51,8 +54,8 @@ def site_safety(
         terrain under its complete footprint is known; each (rows, cols).
     """
     wanted = np.ones(sites.shape, np.bool_) if where is None else where
-    finest = lander.leg_radius / MAX_LEG_DISTANCE_CELLS
-    stride = max(1, int(np.ceil(sites.posting / max(posting, finest) - 1e-9)))
+    most = int(sites.posting * MAX_LEG_DISTANCE_CELLS / lander.leg_radius)
+    stride = max(1, min(int(np.ceil(sites.posting / posting - 1e-9)), most))
     fine = sites.posting / stride
     margin = -(-footprint_of(lander, fine).reach // stride)  # distances between sites
     safe, observed = (np.zeros(sites.shape, np.bool_) for _ in range(2))
@@ -72,6 +75,8 @@ def site_safety(
             chosen = np.zeros((rows, cols), np.bool_)
             inner = np.s_[margin : rows - margin, margin : cols - margin]
             chosen[inner] = wanted[part]
-            found = safe_sites(terrain.raster(grid), grid, lander, where=chosen, stride=stride)
+            found = safe_sites(
+                terrain.raster(grid), grid, lander, heading=heading, where=chosen, stride=stride
+            )
             safe[part], observed[part] = (each[inner] for each in found)
     return safe, observed

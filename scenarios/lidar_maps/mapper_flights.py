@@ -161,13 +161,13 @@ def strata_of(world: World, truth: TerrainTruth) -> np.ndarray:
     The classes depend on true slope and rocks. The slope is that of the relief without rocks over
     the width of the lander.
     """
-    grid, lander = truth.safety.grid, truth.lander
+    grid, lander = truth.grid, truth.lander
     bare = Terrain(world.terrain.relief, RockField.empty()).raster(grid).astype(np.float64)
     reach = lander.leg_radius + 0.5 * lander.pad_diameter
     smooth = ndimage.uniform_filter(bare, round(2.0 * reach / grid.posting))
     north, east = np.gradient(smooth, grid.posting)
     slope = np.hypot(north, east) / np.tan(lander.slope_limit)
-    tall = (truth.elevation - bare) > lander.roughness_limit
+    tall = (world.terrain.raster(grid) - bare) > lander.roughness_limit
     near = ndimage.distance_transform_edt(~tall) * grid.posting < reach
     return np.where(slope >= 1.0, 3, np.where(near, 2, np.where(slope >= 0.5, 1, 0)))
 
@@ -203,7 +203,7 @@ def truth_on_map_grid(
     Cells outside the raster have the value at its edge. `navigation_error` is map minus true
     position, m.
     """
-    own = truth.safety.grid
+    own = truth.grid
     xy = grid.centres() - navigation_error[:2]
     row, col = own.cell(xy)
     at = np.clip(row, 0, own.rows - 1), np.clip(col, 0, own.cols - 1)
@@ -279,9 +279,9 @@ def evaluate_maps(
     out = {}
     for name, drawn in maps.items():
         where = np.logical_or.reduce([observed_on_grid(drawn.grid, m) for m in maps.values()])
-        where &= truth.safety.grid.contains(drawn.grid.centres() - navigation_error[:2])
-        where &= truth_on_map_grid(drawn.grid, navigation_error, truth, truth.safety.observed)
-        safe = truth_on_map_grid(drawn.grid, navigation_error, truth, truth.safety.safe)
+        xy = drawn.grid.centres() - navigation_error[:2]
+        where &= truth.is_known_at(xy)
+        safe = truth.is_safe_at(xy)
         out[name] = evaluate_map(
             drawn, where, safe, truth_on_map_grid(drawn.grid, navigation_error, truth, strata)
         )

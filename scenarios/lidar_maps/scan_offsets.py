@@ -16,18 +16,18 @@ import numpy as np
 from rich.table import Table
 from worlds import LANDERS, UPRIGHT, LidarScene
 
-from lunarsim import Grid, exact_safety
+from lunarsim import Grid
 from lunarsim.api import Estimate
 from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper, SamplePool, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import DemSnapshot
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.studies import Case, Report, Study, run_script
-from lunarsim.world.truth import TerrainTruth
+from lunarsim.world.site_safety import site_safety
 
 RELIEFS = ("flat", "fractal-3", "tilt-5", "fractal-6", "rough-5", "craters")
 ROCKS = ("golombek-5", "golombek-2", "one-metre", "golombek-10", "irregular-5", "small-0.6")
 RANGES, ANGLES = (120.0, 200.0, 300.0), (0.0, 30.0)
-SIDE, POSTING, TRUTH_POSTING = 24.0, 0.2, 0.1  # side and posting of the map and of truth, m
+SIDE, POSTING = 24.0, 0.2  # side and posting of the map, m
 OFFSETS = (0.0, 0.2, 0.4, 0.8)  # horizontal offsets, m
 
 
@@ -45,9 +45,7 @@ def measure_offsets(case: Case) -> list[dict[str, Any]]:
     pair = scenes(case.number, case.seed)
     terrain, lander = pair[0].terrain(), LANDERS["paper"]
     grid = Grid.centred((0.0, 0.0), SIDE, POSTING)
-    fine = Grid.centred((0.0, 0.0), SIDE + 3.0 * lander.leg_radius, TRUTH_POSTING)
-    elevation = terrain.raster(fine)
-    truth = TerrainTruth(exact_safety(elevation, fine, lander), elevation, lander)
+    safe, known = site_safety(terrain, grid, lander)
     scans = [scene.simulate_scan(terrain) for scene in pair]
     azimuth = np.random.default_rng([case.seed, case.number]).uniform(0.0, 2.0 * np.pi)
     rows = []
@@ -63,8 +61,6 @@ def measure_offsets(case: Case) -> list[dict[str, Any]]:
             pool.add(scan.points(place, UPRIGHT), scan.height_sigma(UPRIGHT), scan.spacing(UPRIGHT))
         plain = DemSnapshot(pooled_dem(pool), lander, RockExpectation(), None).hazard_map
         for name, found in (("yes", mapper.hazard_map()), ("no", plain)):
-            xy = found.grid.centres()
-            known, safe = truth.is_known_at(xy), truth.is_safe_at(xy)
             claimed = known & found.in_domain & (found.p_safe > 0.95)
             rows.append({
                 "offset_m": offset, "aligned": name, "known": int(known.sum()),

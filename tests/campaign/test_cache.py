@@ -34,15 +34,16 @@ def entries(folder):
 
 @pytest.fixture
 def made(monkeypatch):
-    """Return a list that grows by one whenever truth is worked out."""
+    """Return a list that grows by one whenever a safe fraction or a raster is computed."""
     calls = []
-    of = world_truth.TerrainTruth.of
+    for name in ("safe_fraction", "raster_safety"):
+        computed = getattr(world_truth.TerrainTruth, name)
 
-    def counted(*args, **kwargs):
-        calls.append(args)
-        return of(*args, **kwargs)
+        def counted(*args, _computed=computed, **kwargs):
+            calls.append(args)
+            return _computed(*args, **kwargs)
 
-    monkeypatch.setattr(world_truth.TerrainTruth, "of", counted)
+        monkeypatch.setattr(world_truth.TerrainTruth, name, counted)
     return calls
 
 
@@ -58,11 +59,12 @@ def test_results_are_the_same_bytes_without_with_and_from_a_cache(tmp_path, made
         cache = None if folder is None else open_cache(tmp_path / folder)
         before = len(made)
         fly_spec(spec(arms=arms, flights=1), InlineEngine(), tmp_path / name, cache=cache)
-        # Policies share truth; other limits of the vehicle or other rocks have their own.
-        assert len(made) - before == (0 if name == "warm" else 3)
+        # Policies share truth; other limits of the vehicle or other rocks have their own. The
+        # fraction is computed for all headings and for one.
+        assert len(made) - before == (0 if name == "warm" else 3 * 2)
         results.append((tmp_path / name / "results" / "part-00000.parquet").read_bytes())
     assert results[0] == results[1] == results[2]
-    assert len(entries(tmp_path / "c")) == 3 * 2  # truth, and shares of it
+    assert len(entries(tmp_path / "c")) == 3
 
 
 def test_other_seeds_terrains_and_targets_are_other_entries(tmp_path, made):
@@ -75,16 +77,17 @@ def test_other_seeds_terrains_and_targets_are_other_entries(tmp_path, made):
         (flight_seed(1, 0), tiny.changed(rocks={"cover": 0.07})),
     ):
         memory = {}
-        WorldTruthProvider(seed, memory, cache).world_and_truth(scenario)
+        WorldTruthProvider(seed, memory, cache).raster(scenario)
     assert len(made) == 4
-    world, truth = WorldTruthProvider(flight_seed(1, 0), {}, cache).world_and_truth(tiny)
+    world, stored, elevation = WorldTruthProvider(flight_seed(1, 0), {}, cache).raster(tiny)
     assert len(made) == 4
-    fresh = world_truth.TerrainTruth.of(world, tiny.vehicle.make())
-    assert truth.safety.grid == fresh.safety.grid and truth.lander == fresh.lander
+    truth = world_truth.TerrainTruth.of(world, tiny.vehicle.make())
+    fresh = truth.raster_safety()
+    assert stored.grid == fresh.grid
     for name in ("slope", "roughness", "safe", "observed"):
-        a, b = (np.asarray(getattr(t.safety, name)) for t in (truth, fresh))
+        a, b = (np.asarray(getattr(found, name)) for found in (stored, fresh))
         assert a.dtype == b.dtype and a.tobytes() == b.tobytes()
-    assert truth.elevation.tobytes() == fresh.elevation.tobytes()
+    assert elevation.tobytes() == world.terrain.raster(truth.grid).tobytes()
     here = WorldTruthProvider(flight_seed(1, 0), {}, cache).shares(tiny, truth)
     wide = tiny.changed(target={"scatter_m": [9.0, 9.0]})
     there = WorldTruthProvider(flight_seed(1, 0), {}, cache).shares(wide, truth)
@@ -100,7 +103,7 @@ def test_parts_from_elsewhere_are_not_kept(tmp_path, made):
     }
     for _ in range(2):
         cache = open_cache(tmp_path)
-        WorldTruthProvider(flight_seed(1, 0), {}, cache).world_and_truth(Scenario.from_dict(given))
+        WorldTruthProvider(flight_seed(1, 0), {}, cache).raster(Scenario.from_dict(given))
     assert len(made) == 2 and not entries(tmp_path)
 
 

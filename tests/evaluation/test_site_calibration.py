@@ -22,8 +22,7 @@ from lunarsim.onboard.calibration.conservative_probability import (
     lower_bound_probability,
 )
 from lunarsim.onboard.calibration.gaussian_dem import GAUSSIAN_DEM
-from lunarsim.safety import SafetyMap
-from lunarsim.world.truth import TerrainTruth
+from tests.given_truth import GivenTruth
 from tests.map_evidence import evidence
 
 LANDER = Lander()
@@ -33,8 +32,7 @@ def test_sites_are_evaluated_where_they_truly_are():
     grid = Grid(-2.0, -2.0, 0.5, 17, 17)
     xy = grid.centres()
     safe, known = xy[..., 0] < 1.9, xy[..., 1] < 2.9
-    none = np.zeros(grid.shape, np.float32)
-    truth = TerrainTruth(SafetyMap(grid, none, none, safe, known), none, LANDER)
+    truth = GivenTruth(grid, safe, known)
     seen = np.ones((9, 9), bool)
     seen[0] = False
     e = evidence(seen=seen, slope=np.linspace(0.1, 0.9, 81).reshape(9, 9))

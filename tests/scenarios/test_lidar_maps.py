@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, replace
-from types import SimpleNamespace
 
 import click
 import numpy as np
@@ -22,7 +21,6 @@ from lunarsim.onboard.calibration.conservative_probability import (
 from lunarsim.onboard.calibration.evidence import UNCONSTRAINED_FEATURES
 from lunarsim.onboard.calibration.gaussian_dem import GAUSSIAN_DEM
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.safety import SafetyMap
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.studies import report_study, run_study
@@ -30,6 +28,7 @@ from lunarsim.world import World
 from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
 from lunarsim.world.truth import TerrainTruth
 from tests.conftest import SCENARIOS
+from tests.given_truth import GivenTruth
 from tests.made_mapper import Slow
 
 
@@ -247,8 +246,7 @@ def test_map_is_compared_with_the_terrain_under_it(script):
     # Safe terrain ends 1 m east; the truth ends 3 m south.
     own = Grid.centred((0.0, 0.0), 12.0, 0.5)
     east, north = own.centres()[..., 0], own.centres()[..., 1]
-    flat = np.zeros(own.shape, np.float32)
-    truth = SimpleNamespace(safety=SafetyMap(own, flat, flat, east < 1.0, north > -3.0))
+    truth = GivenTruth(own, east < 1.0, north > -3.0)
     # The map is shifted by 2 m to the east.
     grid = Grid.centred((2.0, 0.0), 8.0, 0.5)
     x, y = grid.centres()[..., 0], grid.centres()[..., 1]
@@ -267,9 +265,7 @@ def test_maps_on_different_grids_are_evaluated_on_the_same_terrain(script):
     flown = script("lidar_maps", "mapper_flights")
     own = Grid.centred((0.0, 0.0), 30.0, 0.5)
     east = own.centres()[..., 0]
-    flat = np.zeros(own.shape, np.float32)
-    safety = SafetyMap(own, flat, flat, east < 1.0, np.ones(own.shape, bool))
-    truth = SimpleNamespace(safety=safety)
+    truth = GivenTruth(own, east < 1.0)
     maps = {}
     for name, middle in (("one", 0.0), ("other", 4.0)):
         grid = Grid.centred((middle, 0.0), 20.0, 0.5)

@@ -195,9 +195,7 @@ def test_holes_in_a_dtm_are_unsafe_and_unobserved(small_scenario, tmp_path):
     )
     simulation = Simulation(scenario, flight_seed(1, 0), "safest")
     hole = np.array([51.0 - 39.5, 39.5 - 31.5])
-    truth = simulation.truth.safety
-    row, col = truth.grid.cell(hole)
-    assert not truth.observed[row, col]
+    assert not simulation.truth.is_known_at(hole)
     assert not simulation.truth.is_safe_at(hole)
     flight = simulation.run()
     assert flight.outcome.safe

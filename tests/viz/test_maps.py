@@ -16,7 +16,7 @@ from lunarsim.grid import Grid
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim.viz import maps, truth_in_map_figure
+from lunarsim.viz import maps
 from lunarsim.viz.map_bounds import map_figure_bounds
 from lunarsim.viz.maps import draw_reach
 from lunarsim.viz.style import new_figure
@@ -116,12 +116,13 @@ def test_the_legend_shows_marks_as_they_are_drawn(flown, drawn):
 
 
 def test_safe_terrain_has_the_colour_that_the_legend_names(flown, drawn):
-    _, _, truth = flown
+    record, world, whole = flown
+    truth = whole.within(map_figure_bounds(record, world), 400)
     figure = drawn(*flown)
     handles = {handle.get_label(): handle for handle in figure.legends[0].legend_handles}
     image = _panels(figure)[1].images[1]
     shown = image.to_rgba(image.get_array(), alpha=1.0)
-    safe, seen = truth.safety.safe, truth.safety.observed
+    safe, seen = truth.safe, truth.observed
     for name, where in (
         ("truly safe at every heading", seen & safe),
         ("truly unsafe", seen & ~safe),
@@ -276,7 +277,7 @@ def wide(flown):
 def test_of_a_wide_world_the_window_about_map_sites_and_touchdown_is_drawn(wide, drawn):
     record, world = wide
     lander = Scenario.from_toml(record.scenario).vehicle.make()
-    truth = truth_in_map_figure(record, world, lander)
+    truth = TerrainTruth.of(world, lander)
     west, east, south, north = map_figure_bounds(record, world)
     assert max(east - west, north - south) < 0.25 * (world.terrain.bounds[1] * 2.0)
     for panel in _panels(drawn(record, world, truth)):
@@ -287,28 +288,6 @@ def test_of_a_wide_world_the_window_about_map_sites_and_touchdown_is_drawn(wide,
     points = [initial_aim_point(record), record.positions[-1, :2], *record.candidates[:, :2]]
     x, y = np.array(points).T
     assert west < x.min() and x.max() < east and south < y.min() and y.max() < north
-
-
-def test_the_window_has_the_cells_and_the_safety_of_the_complete_truth(wide):
-    record, world = wide
-    lander = Scenario.from_toml(record.scenario).vehicle.make()
-    bounds = map_figure_bounds(record, world)
-    part = truth_in_map_figure(record, world, lander).within(bounds, 10_000)
-    # Far smaller than the world, which would take a minute: twice the window on each side.
-    west, east, south, north = bounds
-    more = (west - 20.0, east + 20.0, south - 20.0, north + 20.0)
-    whole = TerrainTruth.of(world, lander, bounds=more).within(bounds, 10_000)
-    assert part.safety.grid.shape == whole.safety.grid.shape
-    assert part.safety.grid.extent == pytest.approx(whole.safety.grid.extent)
-    assert part.safety.observed.all()
-    # The places of cells differ by rounding.
-    for name in ("slope", "roughness"):
-        assert getattr(part.safety, name) == pytest.approx(getattr(whole.safety, name), abs=1e-5)
-    assert np.mean(part.safety.safe != whole.safety.safe) < 1e-4
-    thin = part.within(bounds, 50)
-    assert max(thin.elevation.shape) <= 50
-    middle = thin.safety.grid.centre_of(7, 9)
-    assert thin.elevation[7, 9] == part.elevation[tuple(part.safety.grid.cell(middle))]
 
 
 def test_a_flight_without_a_map_shows_where_it_came_down(wide):

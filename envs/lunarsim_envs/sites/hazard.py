@@ -15,8 +15,8 @@ from scipy import ndimage
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
+from lunarsim.safety import SafetyMap
 from lunarsim.typing import Array, BoolArray, IntArray
-from lunarsim.world.truth import TerrainTruth
 
 # Class boundaries of hazard size, and of distance to the edge, m (negative on unsafe terrain).
 SIZES = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0])
@@ -48,17 +48,16 @@ class TruthLayers:
     elevation: NDArray[np.float32]
 
     @classmethod
-    def of(cls, truth: TerrainTruth) -> TruthLayers:
-        """Compute classes and safety from the true safety map of a terrain."""
-        safety = truth.safety
-        size = hazard_size(safety.slope, safety.roughness, truth.lander)
+    def of(cls, safety: SafetyMap, elevation: NDArray[np.float32], lander: Lander) -> TruthLayers:
+        """Compute classes from the safety and the elevation (rows, cols), m, of a raster."""
+        size = hazard_size(safety.slope, safety.roughness, lander)
         to_unsafe = ndimage.distance_transform_edt(safety.safe)
         to_safe = ndimage.distance_transform_edt(~safety.safe)
         # The edge is halfway between cell centres, so half a cell is subtracted.
         distance = np.where(safety.safe, to_unsafe - 0.5, 0.5 - to_safe) * safety.grid.posting
         kind = hazard_class(size, distance)
         kind[~safety.observed] = UNKNOWN
-        return cls(safety.grid, kind, safety.safe, truth.elevation)
+        return cls(safety.grid, kind, safety.safe, elevation)
 
     def at(self, xy: ArrayLike) -> tuple[NDArray[np.uint8], BoolArray]:
         """Return hazard class and safety (...,) of the cells nearest to points (..., 2).

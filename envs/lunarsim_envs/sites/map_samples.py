@@ -93,7 +93,9 @@ def sample_flights(
     scans = len(scan_altitudes(scenario))
     for flight in flights:
         simulation = Simulation(scenario, flight_seed(seed, flight), "no-divert")
-        layers = TruthLayers.of(simulation.truth)
+        truth = simulation.truth
+        elevation = truth.terrain.raster(truth.grid)
+        layers = TruthLayers.of(truth.raster_safety(), elevation, truth.lander)
         samples: list[MapSample] = []
         first: tuple[float, Array] | None = None
         claimed = float("nan")

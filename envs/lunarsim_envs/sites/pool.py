@@ -99,9 +99,9 @@ def _generate_pool(
         for one in scenarios_by_cover(scenario, covers):
             for k in range(count):
                 provider = WorldTruthProvider(world_seed(seed, k, split), {}, cache)
-                world, truth = provider.world_and_truth(one)
+                world, safety, elevation = provider.raster(one)
                 worlds.append(world)
-                layers.append(TruthLayers.of(truth))
+                layers.append(TruthLayers.of(safety, elevation, one.vehicle.make()))
                 yield world
 
     terrains = WorldPool.rasterize(scenario, count, drawn(), covers)
