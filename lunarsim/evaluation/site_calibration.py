@@ -186,12 +186,16 @@ def sample_sites(
     """
     grid = evidence.horizontal_plane.grid
     xy = grid.centres() - np.asarray(error)[:2]
-    sites = np.flatnonzero(evidence.observed)
-    where = np.zeros(grid.shape, np.bool_)
-    where.ravel()[rng.choice(sites, min(count, len(sites)), replace=False)] = True
-    safe = np.zeros(grid.shape, np.bool_)
+    where, safe = (np.zeros(grid.shape, np.bool_) for _ in range(2))
+    order = rng.permutation(np.flatnonzero(evidence.observed))
+    # The truth of a site takes long, so that only as many sites as needed are evaluated.
+    for start in range(0, len(order), count):
+        some = order[start : start + count]
+        some = some[truth.is_known_at(xy.reshape(-1, 2)[some])][: count - int(where.sum())]
+        where.ravel()[some] = True
+        if where.sum() == count:
+            break
     safe[where] = truth.is_safe_at(xy[where])
-    where[where] = truth.is_known_at(xy[where])
     return SiteSamples.of(evidence, where, safe, flight)
 
 

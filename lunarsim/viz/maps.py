@@ -36,7 +36,7 @@ _CANDIDATE: dict[str, Any] = {
 _DIVERT_COLOUR = COLOURS[3]
 # Characters per line that fit a panel, for tall and for other terrain.
 _LINE_LENGTH = {True: 34, False: 60}
-# Maximum number of cells along a side of a raster, above the pixels of a panel.
+# Maximum number of sites along a side of the maps of terrain and true safety.
 _MAX_CELLS = 400
 # Number of cells along the longer side of the grid for the area in reach.
 _REACH_CELLS = 100
