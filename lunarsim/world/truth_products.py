@@ -13,9 +13,9 @@ from lunarsim.atomic_files import atomic_write_netcdf
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid, check_raster_size
 from lunarsim.models.lander import Lander
-from lunarsim.safety import exact_safety
 from lunarsim.typing import BoolArray
 from lunarsim.world import World
+from lunarsim.world.site_safety import site_safety
 
 # Rays to the Sun start this far above the surface, so that they do not hit it, m.
 _RAY_OFFSET_M = 1e-3
@@ -69,7 +69,7 @@ class TruthProducts:
             start = points + _RAY_OFFSET_M * normal
             rays = np.broadcast_to(sun, (int(lit.sum()), 3))
             dark[lit] = np.isfinite(terrain.cast(start[lit], rays, normals=False).range)
-        safe = exact_safety(elevation, grid, lander).safe
+        safe, _ = site_safety(terrain, grid, lander)
         return cls(grid, elevation, slope.astype(np.float32), terrain.rock_raster(grid), safe, dark)
 
     def save(self, path: Path) -> None:

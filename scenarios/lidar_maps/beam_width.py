@@ -2,8 +2,7 @@
 
 One scan from vertically above observes fractal relief with rocks of the Golombek distribution. The
 mapper knows the divergence of the beam. A cell is claimed as safe if `p_safe` exceeds 0.95 in the
-calibrated domain. Truth is the exact safety at a posting of 0.05 m: a site is safe if three of the
-four truth cells around its centre are safe.
+calibrated domain. Truth is the exact safety on terrain sampled every 0.05 m.
 
 python scenarios/lidar_maps/beam_width.py --worlds 6
 python scenarios/lidar_maps/beam_width.py --worlds 3 --loss 0.3
@@ -18,7 +17,7 @@ import click
 import numpy as np
 from rich.table import Table
 
-from lunarsim import Grid, Heightfield, Terrain, exact_safety
+from lunarsim import Grid, Heightfield, Terrain
 from lunarsim.api import Estimate, HazardMap, Lander, State
 from lunarsim.frames import sensor_axes
 from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper
@@ -28,13 +27,14 @@ from lunarsim.rocks.size_distribution import sample_diameters
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.studies import Case, Report, Study, run_script
 from lunarsim.world import World
+from lunarsim.world.site_safety import site_safety
 from lunarsim.world.terrain import fractal_relief, place_rocks
 
 # RMS slope of the relief, deg, and rock cover of each world; they repeat.
 WORLDS = ((0.0, 0.05), (1.0, 0.07), (2.0, 0.02), (3.0, 0.05), (4.0, 0.03), (5.0, 0.05))
 DISTANCES = (100.0, 200.0, 300.0, 500.0)
 DIVERGENCES_MRAD = (0.0, 0.2, 0.4, 0.8, 1.5, 3.0)
-SIDE, REACH, TRUTH_POSTING = 40.0, 3.2, 0.05
+SIDE, REACH = 40.0, 3.2
 GRID = Grid.centred((0.0, 0.0), SIDE, 0.2)
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 LANDER = Lander()
@@ -49,16 +49,6 @@ def make_terrain(number: int, seed: int) -> Terrain:
         relief = fractal_relief(grid, rng, hurst=0.85, rms_slope=np.deg2rad(slope))
     diameters = sample_diameters(70.0**2, cover, 0.1, 2.0, rng)
     return Terrain(relief, place_rocks(relief, diameters, rng, model=RockModel("ellipsoid")))
-
-
-def true_safety(terrain: Terrain) -> np.ndarray:
-    """Return whether each map cell is safe (rows, cols)."""
-    grid = Grid.centred((0.0, 0.0), SIDE + 2.0 * REACH, TRUTH_POSTING)
-    found = exact_safety(terrain.raster(grid), grid, LANDER)
-    safe = (found.slope < LANDER.slope_limit) & (found.roughness < LANDER.roughness_limit)
-    row, col = grid.cell(GRID.centres().reshape(-1, 2) - 0.5 * TRUTH_POSTING)
-    count = sum(safe[row + i, col + j].astype(int) for i in (0, 1) for j in (0, 1))
-    return (count >= 3).reshape(GRID.shape)
 
 
 def map_of(
@@ -87,7 +77,7 @@ def map_of(
 def measure(case: Case) -> list[dict[str, Any]]:
     """Return the numbers of safe, observed and claimed cells of one world."""
     terrain = make_terrain(case.number, case.seed)
-    safe = true_safety(terrain)
+    safe, _ = site_safety(terrain, GRID, LANDER)
     inside = np.abs(GRID.x) < 0.5 * SIDE - REACH
     where, rows = np.outer(inside, inside), []
     cover = WORLDS[case.number % len(WORLDS)][1]

@@ -10,9 +10,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from lunarsim import exact_safety
-from lunarsim.grid import Grid
-from lunarsim.rng import RandomStreams
 from lunarsim.scenario import Scenario
 from lunarsim.studies import Case
 from lunarsim.studies.command import study_command
@@ -58,19 +55,6 @@ def test_narrow_rocks_are_a_failure_and_nominal_rocks_are_none(small):
     # Another draw has other rocks; the same draw repeats itself.
     again, other = (measured(small, NARROW_ROCKS, number) for number in (0, 1))
     assert again["unsafe"] == bad["unsafe"] and other["unsafe"] != bad["unsafe"]
-
-
-def test_the_truth_of_claimed_sites_is_that_of_the_exact_test(small):
-    values = {**small.SPACE.nominal(), **NARROW_ROCKS, "vehicle.leg_radius_m": 1.0}
-    scenario = small.scenario_of(values)
-    terrain = scenario.terrain.make().build(scenario.rocks.make(), RandomStreams(3))
-    sites = np.random.default_rng(0).uniform(-4.0, 4.0, (300, 2))
-    safe = small.truly_safe(sites, terrain, scenario.vehicle.make())
-    # The cells of the truth are those of a grid of odd or even size about the centre.
-    grid = Grid.centred((0.0, 0.0), 18.0 + 2.0 * (1.15 + 0.1), 0.05)
-    truth = exact_safety(terrain.raster(grid), grid, scenario.vehicle.make())
-    assert 0.1 < safe.mean() < 0.99
-    assert (safe == truth.safe[grid.cell(sites)]).all()
 
 
 def test_a_world_with_few_claims_has_a_score_above_one(small, monkeypatch):
