@@ -389,12 +389,13 @@ def _prepare_tile(z, middle, footprint, stride, r0, c0, window, footprint_max):
         for j in range(wide):
             levels[0, i, j] = abs(window[0, i, j])
     fill_maxima(levels, footprint)
-    leg, body = np.empty((h, w), np.float32), np.empty((h, w), np.float32)
-    write_footprint_max(levels, footprint.depth, footprint.leg_windows, margin, leg)
-    write_footprint_max(levels, footprint.depth, footprint.body_windows, margin, body)
+    leg = np.empty((len(footprint_max), w), np.float32)
+    body = np.empty((len(footprint_max), w), np.float32)
+    write_footprint_max(levels, footprint.depth, footprint.leg_windows, margin, stride, leg)
+    write_footprint_max(levels, footprint.depth, footprint.body_windows, margin, stride, body)
     for i in range(footprint_max.shape[0]):
         for j in range(footprint_max.shape[1]):
-            footprint_max[i, j] = max(leg[i * stride, j * stride], body[i * stride, j * stride])
+            footprint_max[i, j] = max(leg[i, j * stride], body[i, j * stride])
     clear_unknown(window[0])
     terrain_under_pads(levels, window[0], footprint, window[1])
     window[2:] = np.float32(0.0)

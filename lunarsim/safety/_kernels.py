@@ -201,12 +201,12 @@ def fill_maxima(levels, footprint):
 
 
 @kernel(inner=True)
-def write_footprint_max(levels, depth, window_pairs, reach, out):
+def write_footprint_max(levels, depth, window_pairs, reach, row_step, out):
     """Write the maximum over the footprint around each cell of a tile to `out`.
 
     The footprint is the union of `window_pairs` (4 n, 5), as in `Footprint`. `levels` are the
     maxima over windows (`fill_maxima`) with `depth` levels along rows. Row and column `reach` of a
-    level correspond to the first cell of `out` (rows, cols).
+    level correspond to the first cell of `out` (rows, cols), whose rows are `row_step` cells apart.
     """
     _, tall, wide = levels.shape
     rows, cols = out.shape
@@ -222,7 +222,7 @@ def write_footprint_max(levels, depth, window_pairs, reach, out):
     for i in range(rows):
         j = 0
         while j < cols:
-            at = i * wide + j
+            at = i * row_step * wide + j
             # Process many sites at a time, so that the loads of one window serve several sites.
             if cols - j > 7 * SIMD_WIDTH:
                 _max_over_windows_64(flat, first, second, at, best, 0)
@@ -325,11 +325,11 @@ def footprint_extremes(thread_slice, z, middle, footprint, span, rise):
         load_window(z, middle, datum, r0 - reach, c0 - reach, window)
         copy_window(window, levels[0])
         fill_maxima(levels, footprint)
-        write_footprint_max(levels, footprint.depth, footprint.leg_windows, reach, leg[0])
-        write_footprint_max(levels, footprint.depth, footprint.body_windows, reach, body)
+        write_footprint_max(levels, footprint.depth, footprint.leg_windows, reach, 1, leg[0])
+        write_footprint_max(levels, footprint.depth, footprint.body_windows, reach, 1, body)
         _negate(window, levels[0])
         fill_maxima(levels, footprint)
-        write_footprint_max(levels, footprint.depth, footprint.leg_windows, reach, leg[1])
+        write_footprint_max(levels, footprint.depth, footprint.leg_windows, reach, 1, leg[1])
         _write_span_and_rise(
             leg, body, span[r0 : r0 + h, c0 : c0 + w], rise[r0 : r0 + h, c0 : c0 + w]
         )
@@ -430,11 +430,11 @@ def stochastic(
         for n in range(2):
             copy_window(window[2 + n], levels[0])
             fill_maxima(levels, footprint)
-            write_footprint_max(levels, footprint.depth, footprint.leg_windows, reach, leg[n])
-            write_footprint_max(levels, footprint.depth, footprint.body_windows, reach, body[n])
+            write_footprint_max(levels, footprint.depth, footprint.leg_windows, reach, 1, leg[n])
+            write_footprint_max(levels, footprint.depth, footprint.body_windows, reach, 1, body[n])
             _negate(window[2 + n], levels[0])
             fill_maxima(levels, footprint)
-            write_footprint_max(levels, footprint.depth, footprint.leg_windows, reach, foot[n])
+            write_footprint_max(levels, footprint.depth, footprint.leg_windows, reach, 1, foot[n])
         r1, c1 = r0 + h, c0 + w
         _write_safety(
             leg, foot, body, slope_margin, roughness_limit, p_slope[r0:r1, c0:c1],

@@ -159,6 +159,7 @@ def terrain_under_pads(levels, window, footprint, feet):
         footprint.depth,
         footprint.pad_windows,
         n,
+        1,
         feet[n : tall - n, n : wide - SIMD_WIDTH - n],
     )
 
@@ -350,5 +351,5 @@ def stochastic_planes(
         copy_window(g[1], levels[0])
         fill_row_maxima(levels, footprint.depth)
         write_footprint_max(
-            levels, footprint.depth, footprint.stand_windows, reach, leg_sigma[r0:r1, c0:c1]
+            levels, footprint.depth, footprint.stand_windows, reach, 1, leg_sigma[r0:r1, c0:c1]
         )

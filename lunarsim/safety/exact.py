@@ -108,8 +108,8 @@ def safe_sites(
     """Return which cells are safe landing sites by the exact safety test.
 
     This is faster than `exact_safety`, which has the same parameters and errors and also returns
-    the slope and roughness of each cell. Sites that pass the conservative test need no more work;
-    the evaluation of the other sites stops as soon as a limit is exceeded.
+    the slope and roughness of each cell. Without a stride, sites that pass the conservative test
+    need no more work; the evaluation of the other sites stops as soon as a limit is exceeded.
 
     Parameters
     ----------
@@ -129,17 +129,18 @@ def safe_sites(
     """
     footprint = _footprint(lander, grid.posting, heading)
     height = prepare_elevation("elevation", elevation, grid, footprint)
-    span, rise = (each[::stride, ::stride] for each in height_differences(height, footprint))
-    observed = rise < k.FAR
-    if where is not None:
-        observed &= where
-    clearly_safe = (span < footprint.min_triangle_height * np.sin(lander.slope_limit)) & (
-        rise < lander.roughness_limit
-    )
-    todo = observed & ~clearly_safe
+    shape = height.z[::stride, ::stride].shape
+    selected = np.ones(shape, np.bool_) if where is None else where
+    clearly_safe = np.zeros(shape, np.bool_)
+    if stride == 1:
+        span, rise = height_differences(height, footprint)
+        clearly_safe = selected & (rise < min(lander.roughness_limit, k.FAR))
+        clearly_safe &= span < footprint.min_triangle_height * np.sin(lander.slope_limit)
+    todo = selected & ~clearly_safe
     tangent, roughness = _evaluate(height, todo, footprint, lander, grid.posting, True, stride)
+    observed = clearly_safe | ~np.isnan(tangent)
     passed = (np.arctan(tangent) < lander.slope_limit) & (roughness < lander.roughness_limit)
-    return observed & (clearly_safe | passed), observed
+    return clearly_safe | passed, observed
 
 
 def _footprint(lander: Lander, posting: float, heading: float | None) -> Footprint:

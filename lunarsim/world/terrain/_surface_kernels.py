@@ -95,21 +95,32 @@ def elevation_at(xy, z, x0, y0, p, bucket_cells, rocks, planes, count, start, in
 
 
 @kernel(shared=True, allocates=False)
-def raster(
-    thread_slice, gx, gy, gp, z, x0, y0, p, bucket_cells, rocks, planes, count, start, index, out
-):
+def raster(thread_slice, gx, gy, gp, z, x0, y0, p, rocks, planes, count, reach, out):
     """Write the elevation of relief and rocks at the cell centres of another grid.
 
-    `out` (rows, cols), float32, m, has its first centre at (gx, gy) and the spacing `gp`;
-    `thread_slice` is (thread, number of threads). The other arguments are those of `elevation_at`.
+    `out` (rows, cols), float32, m, has its first centre at (gx, gy) and the spacing `gp`; `reach`
+    (n,), m, are radii about the rocks' centres that contain their outlines; `thread_slice` is
+    (thread, number of threads). The other arguments are those of `elevation_at`.
     """
     rows, cols = out.shape
-    for i in range(thread_slice[0], rows, thread_slice[1]):
+    thread, threads = thread_slice
+    for i in range(thread, rows, threads):
         y = gy + gp * i
         for j in range(cols):
-            out[i, j] = _surface(
-                gx + gp * j, y, z, x0, y0, p, bucket_cells, rocks, planes, count, start, index
-            )
+            out[i, j] = relief_at(gx + gp * j, y, z, x0, y0, p)
+    for n in range(len(rocks)):
+        east, north = (rocks[n, 0] - gx) / gp, (rocks[n, 1] - gy) / gp
+        cells = reach[n] / gp + 1e-6
+        left, right = max(int(np.ceil(east - cells)), 0), min(int(east + cells), cols - 1)
+        bottom, top = max(int(np.ceil(north - cells)), 0), min(int(north + cells), rows - 1)
+        if left > right or bottom > top:
+            continue
+        for i in range(bottom + (thread - bottom) % threads, top + 1, threads):
+            y = gy + gp * i
+            for j in range(left, right + 1):
+                height = np.float32(rock_height(gx + gp * j, y, rocks, n, planes, count))
+                # False where the relief is unknown.
+                out[i, j] = max(out[i, j], height)
 
 
 @kernel()

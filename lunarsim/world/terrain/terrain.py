@@ -141,9 +141,11 @@ class Terrain:
         """
         g = grid
         out = np.empty(grid.shape, np.float32)
+        rocks, planes, count, _, _ = self._rock_arrays
         _surface_kernels.raster(
-            g.x0, g.y0, g.posting, self.relief.z, *self._frame, self._leaf, *self._rock_arrays, out
-        )
+            g.x0, g.y0, g.posting, self.relief.z, *self._frame, rocks, planes, count,
+            self.rocks.reach(), out,
+        )  # fmt: skip
         return out
 
     def rock_raster(self, grid: Grid) -> NDArray[np.int32]:
