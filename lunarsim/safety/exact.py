@@ -131,11 +131,11 @@ def safe_sites(
     height = prepare_elevation("elevation", elevation, grid, footprint)
     shape = height.z[::stride, ::stride].shape
     selected = np.ones(shape, np.bool_) if where is None else where
-    clearly_safe = np.zeros(shape, np.bool_)
+    clearly_safe: BoolMap = np.zeros(shape, np.bool_)
     if stride == 1:
         span, rise = height_differences(height, footprint)
-        clearly_safe = selected & (rise < min(lander.roughness_limit, k.FAR))
-        clearly_safe &= span < footprint.min_triangle_height * np.sin(lander.slope_limit)
+        is_level = span < footprint.min_triangle_height * np.sin(lander.slope_limit)
+        clearly_safe = selected & is_level & (rise < lander.roughness_limit)
     todo = selected & ~clearly_safe
     tangent, roughness = _evaluate(height, todo, footprint, lander, grid.posting, True, stride)
     observed = clearly_safe | ~np.isnan(tangent)
