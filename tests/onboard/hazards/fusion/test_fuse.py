@@ -130,7 +130,7 @@ def test_a_map_without_evidence_is_only_multiplied():
 
 
 def test_lit_terrain_makes_sites_safer_and_dark_terrain_less_safe():
-    own = relief(rough=0.2, density=3.0, curve=rocky(2.0))
+    own = relief(rough=0.1, density=5.0, curve=rocky(2.0))
     p = [
         fuse_evidence(own, eyes(r), TERMS).p_safe[4, 4]
         for r in (20.0, 1.0, 0.3, COMMON_MISS_PROBABILITY, 0.0)
@@ -230,7 +230,7 @@ def test_terrain_that_is_level_and_clear_is_no_less_safe_than_that(slope, rough,
 
 
 def test_where_nothing_is_thinned_out_the_elevations_count_as_they_are_bit_for_bit():
-    own = relief(rough=0.2, density=5.0)
+    own = relief(rough=0.2, density=3.0, curve=rocky(0.5))
     left = np.arange(SIDE) == 0
     ratio = np.where(left, np.float32(0.01), np.float32(1.0)) * np.ones((2, *GRID.shape))
     rocks = eyes(ratio)

@@ -162,13 +162,14 @@ def test_rocks_are_where_the_samples_have_them_and_of_the_shape_that_is_expected
 # --- a calibration for the scenario ------------------------------------------------------------
 
 
-def own_calibration() -> ScenarioCalibration:
-    """Return a calibration that makes sites much less safe everywhere."""
+def own_calibration(log_odds: float = -3.0) -> ScenarioCalibration:
+    """Return a calibration that makes sites much less safe everywhere, by constant odds."""
     wide = CalibrationDomain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0))
     figures = lander_safety_params(LANDER)
     return ScenarioCalibration(
-        CalibrationStage(-3.0), CalibrationStage(-3.0), wide, figures, GAUSSIAN_DEM.packaged.digest
-    )
+        CalibrationStage(log_odds), CalibrationStage(log_odds), wide, figures,
+        GAUSSIAN_DEM.packaged.digest,
+    )  # fmt: skip
 
 
 def test_what_is_left_of_rocks_is_evaluated_by_the_calibration_of_the_elevations():
@@ -188,7 +189,7 @@ def test_elevations_are_evaluated_by_the_calibration_they_were_drawn_with():
     xy = np.random.default_rng(1).uniform(-3.9, 3.9, (1200, 2))
     pool.add(np.column_stack((xy, np.zeros(1200))), 0.01, 0.2)
     plain = DemSnapshot(pooled_dem(pool), LANDER, RockExpectation())
-    own = replace(plain, scenario_calibration=own_calibration())
+    own = replace(plain, scenario_calibration=own_calibration(-8.0))
     assert plain.hazard_map.observed.any()
     assert not plain.hazard_map.observed.all(), "the footprint leaves the map at its edge"
     for one in (plain, own):

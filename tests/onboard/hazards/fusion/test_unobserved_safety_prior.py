@@ -49,7 +49,7 @@ def thinned_by(own, rocks):
 
 
 def test_without_elevations_the_other_sensor_counts_and_is_never_certain():
-    own = relief(seen=MEASURED)
+    own = relief(seen=MEASURED, rough=0.3, density=60.0, level=8.0, planes=8.0)
     both = fuse_evidence(own, eyes(0.1), TERMS)
     assert both.observed.all()
     free = np.exp(-10.0 * thinned_by(own, eyes(0.1)).expected_hazards)
