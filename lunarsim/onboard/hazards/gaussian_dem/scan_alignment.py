@@ -104,7 +104,7 @@ def scan_offset(stored: Array, grid: Grid, points: ArrayLike) -> ScanOffset | No
     if np.hypot(*shift) < _MIN_SHIFT_CELLS * grid.posting or not _is_significant(
         _loss(here) - _loss(moved)
     ):
-        shift, moved, best = np.zeros(2), here, (0, 0)
+        shift, moved = np.zeros(2), here
     tilt = _fit_tilt(cells - reach, cloud[:, 2], moved, grid)
     moved = moved[np.isfinite(moved)]
     rise = float(np.median(moved))
