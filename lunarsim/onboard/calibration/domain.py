@@ -95,6 +95,7 @@ class CalibrationDomain:
         e = evidence
         return np.asarray(
             e.observed
+            & e.is_consistent
             & self.is_within_measurements(e.noise_ratio, e.spacing_ratio)
             & self.is_within_counts(e.expected_hazards, e.expected_tilt_violations)
         )

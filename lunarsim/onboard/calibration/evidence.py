@@ -129,6 +129,8 @@ class CalibrationEvidence(ABC):
         Fraction of terrain above each height, and below each depth.
     noise
         Standard deviation of the height of a sample, m.
+    is_consistent
+        Whether the measurements agree with each other; if not, no site is in a domain.
     """
 
     regression: ClassVar[MapRegression]
@@ -136,6 +138,7 @@ class CalibrationEvidence(ABC):
     curve: ExceedanceCurve
     holes: ExceedanceCurve
     noise: float
+    is_consistent: bool = True
 
     # --- declared by each kind of map -----------------------------------------------------
 
@@ -308,10 +311,13 @@ class CalibrationEvidence(ABC):
         """Return which sites are observed and within the limits of a domain.
 
         `limits` are the maximum expected numbers of rocks and holes. No site is within them if the
-        measurements or the lander's slope limit are outside the range of the fit.
+        measurements contradict each other, or if they or the lander's slope limit are outside the
+        range of the fit.
         """
         low, high = SLOPE_LIMIT_RANGE_RAD
-        if not (self.is_covered_by_fit and low <= self.lander.slope_limit <= high):
+        if not (
+            self.is_consistent and self.is_covered_by_fit and low <= self.lander.slope_limit <= high
+        ):
             return np.zeros(self.observed.shape, np.bool_)
         with np.errstate(invalid="ignore"):
             few = (self.expected_hazards <= limits.hazards) & (

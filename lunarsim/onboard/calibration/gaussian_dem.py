@@ -97,6 +97,8 @@ class MapEvidence(CalibrationEvidence):
     beam_sigma, height_ratio
         Standard deviation of the beam's intensity on the terrain, m (0: a line), and expected
         height of the rocks over their diameter.
+    is_consistent
+        Whether the scans of the map agree with each other within their stated errors.
     """
 
     regression = GAUSSIAN_DEM
@@ -113,6 +115,7 @@ class MapEvidence(CalibrationEvidence):
     undetected_rock_ratio: UndetectedRockRatio | None = None
     beam_sigma: float = 0.0
     height_ratio: float = 0.5
+    is_consistent: bool = True
 
     def __post_init__(self) -> None:
         if (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -40,6 +40,9 @@ class DemSnapshot:
         with lunarsim.
     beam_ratio
         Standard deviation of the beam's intensity over the spacing of the samples.
+    is_consistent
+        Whether the scans agree with each other within their stated errors; if not, no site is in
+        the calibrated domain.
     """
 
     dem: PooledDem
@@ -47,6 +50,7 @@ class DemSnapshot:
     rocks: RockExpectation
     scenario_calibration: ScenarioCalibration | None = None
     beam_ratio: float = 0.0
+    is_consistent: bool = True
 
     @property
     def grid(self) -> Grid:
@@ -79,7 +83,8 @@ class DemSnapshot:
     @cached_property
     def site_evidence(self) -> MapEvidence:
         """Inputs of the safety calibration for each site, such as slope and roughness."""
-        return dem_site_evidence(self.dem, self.lander, self.rocks, self.beam_ratio)
+        found = dem_site_evidence(self.dem, self.lander, self.rocks, self.beam_ratio)
+        return replace(found, is_consistent=self.is_consistent)
 
     @cached_property
     def hazard_map(self) -> HazardMap:

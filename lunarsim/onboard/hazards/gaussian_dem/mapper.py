@@ -18,6 +18,7 @@ from lunarsim.onboard.calibration.scenario_calibration import ScenarioCalibratio
 from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import DemSnapshot
 from lunarsim.onboard.hazards.gaussian_dem.pooled import PooledDem, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
+from lunarsim.onboard.hazards.gaussian_dem.scan_noise import with_estimated_noise
 from lunarsim.onboard.hazards.hazard_map import HazardMap, TerrainSurface
 from lunarsim.onboard.hazards.isolated_returns import without_isolated_returns
 from lunarsim.onboard.hazards.map_evidence import TerrainEvidence
@@ -184,11 +185,16 @@ class GaussianDemMapper(HazardMapper):
         self._samples, self._provisional = SamplePool(grid), SamplePool(grid)
         self._unleveled = UnleveledScans()
         self._displacement = np.zeros(3)
+        self._is_consistent, self._max_tilt_sigma = True, 0.0
         self._map: HazardMap | DemSnapshot = HazardMap.unobserved(grid)
         self._timer, self._is_outdated = MapUpdateTimer(interval), False
 
     def update(self, measurement: LidarScan, estimate: Estimate) -> None:
         """Add a scan taken at the estimated pose; ignore isolated returns and empty scans.
+
+        If the noise of the scan is clearly larger than stated, the estimated noise is used. If a
+        scan is tilted relative to earlier ones by more than the stated attitude errors explain, the
+        map leaves its calibrated domain: it is not known which scan is wrong.
 
         Raises
         ------
@@ -196,9 +202,10 @@ class GaussianDemMapper(HazardMapper):
             If the scan or the pose is invalid, as in `LidarScan.check`.
         """
         measurement.check(estimate.position, estimate.attitude)
-        scan = without_isolated_returns(measurement, estimate.attitude)
+        scan = with_estimated_noise(without_isolated_returns(measurement, estimate.attitude))
         points = scan.points(estimate.position, estimate.attitude)
         early = self._unleveled.includes(estimate.tilt_sigma)
+        self._max_tilt_sigma = float(np.maximum(self._max_tilt_sigma, estimate.tilt_sigma))
         self._align_to(points)
         taken = (self._provisional if early else self._samples).add(
             points,
@@ -215,7 +222,11 @@ class GaussianDemMapper(HazardMapper):
         wider and lower rocks. The newest scan defines the position, because guidance uses it.
         """
         found = self.pool.offset(points)
-        if found is None or not found.shift.any():
+        if found is None:
+            return
+        if found.is_tilted(self._max_tilt_sigma):
+            self._is_consistent, self._is_outdated = False, True
+        if not found.shift.any():
             return
         self._samples, self._provisional = (
             one.shifted(found.shift) for one in (self._samples, self._provisional)
@@ -300,7 +311,9 @@ class GaussianDemMapper(HazardMapper):
         if not len(dem.sampling.residual_heights):
             return HazardMap.unobserved(self.grid)
         if self.safety == "calibrated":
-            return DemSnapshot(dem, self.lander, self.rocks, self.refit, self.beam_ratio)
+            return DemSnapshot(
+                dem, self.lander, self.rocks, self.refit, self.beam_ratio, self._is_consistent
+            )
         observed_mean = np.where(dem.observed, dem.mean, np.float32(np.nan))
         test = plane_stochastic_safety if self.safety == "planes" else stochastic_safety
         safety = test(observed_mean, dem.variance, self.grid, self.lander)
@@ -320,6 +333,7 @@ class GaussianDemMapper(HazardMapper):
             return
         self._samples, self._provisional = self._pools_about(centre)
         self.grid = self._samples.grid
+        self._is_consistent |= self.is_empty
         self._map, self._is_outdated = HazardMap.unobserved(self.grid), not self.is_empty
         self._timer.force_update()
 

@@ -3,6 +3,8 @@
 The estimated position of the lander drifts by decimetres between scans. Samples that are placed
 wrongly relative to each other make rocks look wide and low. The offset between the scans is the
 shift that minimises the mean absolute height difference between new points and stored samples.
+
+Height differences that remain may show that the scans are tilted relative to each other.
 """
 
 from __future__ import annotations
@@ -11,9 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import ndimage
 
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem.conventional import finite_rows
+from lunarsim.onboard.hazards.mapper import NEGLIGIBLE_TILT_RAD
 from lunarsim.typing import Array, IntArray
 
 # Maximum horizontal offset that is searched for, m.
@@ -24,6 +28,9 @@ _MAX_POINTS = 16_384
 _MIN_SHARED_POINTS = 30
 # An offset counts from this many standard errors on; shorter ones stay uncorrected, m.
 _MIN_OFFSET_SIGMAS, _MIN_HEIGHT_M, _MIN_SHIFT_CELLS = 5.0, 0.01, 0.25
+# A tilt is fitted to medians of the height differences in squares: squares along a side of the map,
+# minimum number of points in a square, and of squares: four for each of the five unknowns.
+_SQUARES, _MIN_SQUARE_POINTS, _MIN_SQUARES = 8, 10, 20
 # Ratio of the standard deviation to the median absolute deviation of normal values, and ratio of
 # the standard errors of their median and mean.
 _MAD_TO_SIGMA, _MEDIAN_TO_MEAN_ERROR = 1.4826, 1.2533
@@ -40,10 +47,23 @@ class ScanOffset:
         that is not significant is 0.
     height_sigma
         Standard error of the height offset, m.
+    tilt, tilt_sigma
+        Angle between the scan and the stored samples, and its standard error, rad.
     """
 
     shift: Array
     height_sigma: float
+    tilt: float
+    tilt_sigma: float
+
+    def is_tilted(self, stated_sigma: float) -> bool:
+        """Return whether the tilt exceeds what the stated attitude errors explain.
+
+        `stated_sigma` is the standard deviation of the tilt of a scan, rad; NaN if unknown. A tilt
+        counts if it exceeds `NEGLIGIBLE_TILT_RAD` by five standard deviations.
+        """
+        sigma = np.hypot(self.tilt_sigma, np.sqrt(2.0) * stated_sigma)
+        return bool(self.tilt > NEGLIGIBLE_TILT_RAD + _MIN_OFFSET_SIGMAS * sigma)
 
 
 def scan_offset(stored: Array, grid: Grid, points: ArrayLike) -> ScanOffset | None:
@@ -85,13 +105,51 @@ def scan_offset(stored: Array, grid: Grid, points: ArrayLike) -> ScanOffset | No
         _loss(here) - _loss(moved)
     ):
         shift, moved = np.zeros(2), here
+    tilt = _fit_tilt(cells - reach, cloud[:, 2], moved, grid)
     moved = moved[np.isfinite(moved)]
     rise = float(np.median(moved))
     spread = _MAD_TO_SIGMA * float(np.median(np.abs(moved - rise)))
     sigma = _MEDIAN_TO_MEAN_ERROR * spread / float(np.sqrt(len(moved)))
     if abs(rise) < max(_MIN_OFFSET_SIGMAS * sigma, _MIN_HEIGHT_M):
         rise = 0.0
-    return ScanOffset(np.array([*shift, rise]), sigma)
+    return ScanOffset(np.array([*shift, rise]), sigma, *tilt)
+
+
+def _fit_tilt(
+    cells: IntArray, heights: Array, differences: Array, grid: Grid
+) -> tuple[float, float]:
+    """Fit the tilt between new and stored heights; return it and its standard error, rad.
+
+    `cells` (n, 2), `heights` (n,), m, and `differences` (n,), m, are those of the new points. A
+    plane is fitted to the medians of the differences in squares. A horizontal shift that remains
+    is fitted too: it adds the local slope of the terrain times the shift. The standard error
+    follows from the residuals. It is infinite with fewer than 20 squares.
+    """
+    known = np.isfinite(differences)
+    side = -(-max(grid.shape) // _SQUARES)
+    shape = -(-grid.rows // side), -(-grid.cols // side)
+    index = (cells[:, 0] // side * shape[1] + cells[:, 1] // side)[known]
+    few = np.bincount(index, minlength=shape[0] * shape[1]) < _MIN_SQUARE_POINTS
+    every = np.arange(few.size)
+    difference, height = (
+        np.where(few, np.nan, ndimage.median(values[known], index, every)).reshape(shape)
+        for values in (differences, heights)
+    )
+    if min(shape) < 2:
+        return 0.0, np.inf
+    spacing = side * grid.posting
+    row, col = np.indices(shape) * spacing
+    columns = np.stack((col, row, *np.gradient(height, spacing), difference), axis=-1)
+    columns = columns[np.isfinite(columns).all(axis=-1)]
+    if len(columns) < _MIN_SQUARES:
+        return 0.0, np.inf
+    columns = columns - columns.mean(axis=0)
+    design, values = columns[:, :4], columns[:, 4]
+    inverse = np.linalg.pinv(design.T @ design)
+    fit = inverse @ design.T @ values
+    residual = values - design @ fit
+    variance = float(residual @ residual) / (len(columns) - 5)
+    return float(np.hypot(fit[0], fit[1])), float(np.sqrt(variance * inverse.diagonal()[:2].max()))
 
 
 def _differences(wide: Array, cells: IntArray, heights: Array, shift: tuple[int, int]) -> Array:
