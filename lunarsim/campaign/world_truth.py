@@ -55,9 +55,10 @@ class WorldTruthProvider:
         return world, self.memory[known]
 
     def raster(self, scenario: Scenario) -> tuple[World, SafetyMap, NDArray[np.float32]]:
-        """Return the world, the safety of its raster (`TerrainTruth.raster_safety`) and elevation.
+        """Return the world, the safety of its raster, and its elevation.
 
-        The elevation (rows, cols) is that of the cells, m.
+        The safety is that of `TerrainTruth.raster_safety`, the elevation (rows, cols) that of its
+        cells, m.
         """
         world, truth = self.world_and_truth(scenario)
         key = ("truth", tables_as_text(scenario, TRUTH_TABLES))

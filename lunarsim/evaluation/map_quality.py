@@ -133,7 +133,7 @@ def map_quality(
 
 
 def evaluated_step(grid: Grid) -> int:
-    """Return the number of cells of a map between two rows or columns that are evaluated."""
+    """Return the distance in cells between evaluated rows and columns of a map."""
     return max(1, round(_EVALUATED_POSTING_M / grid.posting))
 
 

@@ -416,15 +416,19 @@ def _prepare_tile(z, middle, footprint, stride, r0, c0, window, footprint_max):
 
 @kernel()
 def site_margin(footprint, stride):
-    """Return the number of cells of a window around the sites of a tile, a multiple of `stride`."""
+    """Return the number of cells around the sites of a tile in its window.
+
+    It is a multiple of `stride`.
+    """
     return (footprint.reach + stride - 1) // stride * stride
 
 
 @kernel()
 def _group_columns(window, stride):
-    """Sort the columns of a window (layers, rows, cols) by their remainder modulo `stride`.
+    """Sort the columns of a window by their remainder modulo `stride`.
 
-    Column c moves to ``(c % stride) (cols / stride) + c // stride``, as in `_column_offset`.
+    The window is (layers, rows, cols). Column c moves to
+    ``(c % stride) (cols / stride) + c // stride``, as in `_column_offset`.
     """
     layers, tall, wide = window.shape
     line = np.empty(wide, np.float32)
@@ -447,7 +451,7 @@ def _column_offset(column, columns, stride):
 
 @kernel()
 def _grouped_offsets(cells, columns, stride):
-    """Return index offsets (n,) of relative cells (n, 2), row and column, in such a window."""
+    """Return index offsets (n,) of relative cells (row, column) in such a window."""
     out = np.empty(len(cells), np.int64)
     for n in range(len(cells)):
         out[n] = cells[n, 0] * columns + _column_offset(cells[n, 1], columns, stride)

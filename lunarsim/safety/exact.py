@@ -144,9 +144,9 @@ def safe_sites(
 
 
 def _footprint(lander: Lander, posting: float, heading: float | None) -> Footprint:
-    """Return the footprint of a lander at all headings, or at one azimuth of body x, rad.
+    """Return the footprint of a lander at all headings or at one.
 
-    `posting` is the grid spacing, m.
+    `heading` is the azimuth of body x, rad, `posting` is the grid spacing, m.
     """
     footprint = footprint_of(lander, posting)
     if heading is None:

@@ -100,10 +100,11 @@ class TruthOracle:
 def _sites_around(
     truth: TerrainTruth, centre: Array, half_side: float
 ) -> tuple[Array, Array, Array]:
-    """Return position (n, 2), elevation and clearance (n,) of the sites in a square, m.
+    """Return position, elevation and clearance of the sites in a square, m.
 
-    `centre` (2,) is that of the square, `half_side` half of its side, m. The clearance is the
-    distance to the nearest unsafe site; sites beyond the square count as unsafe.
+    The results are (n, 2), (n,) and (n,). `centre` (2,) is that of the square, `half_side` half of
+    its side, m. The clearance is the distance to the nearest unsafe site; sites beyond the square
+    count as unsafe.
     """
     (east, north), half = centre, half_side
     square = truth.within((east - half, east + half, north - half, north + half), _SITES_ALONG_SIDE)

@@ -1,4 +1,4 @@
-"""Exact landing safety of sites on the terrain itself, sampled finely enough to converge."""
+"""Exact landing safety of sites on the terrain, sampled finely."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ class TerrainTruth:
         return np.zeros(self.grid.shape, np.uint8)
 
     def _evaluated(self, row: NDArray[np.int64], col: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """Return the safety class of the sites in rows and columns (...), evaluated if open."""
+        """Return the safety class of sites in rows and columns (...); evaluate if open."""
         known = self._known_sites
         is_open = known[row, col] == _OPEN
         if is_open.any():

@@ -118,8 +118,9 @@ def scan_offset(stored: Array, grid: Grid, points: ArrayLike) -> ScanOffset | No
 def _fit_tilt(
     cells: IntArray, heights: Array, differences: Array, grid: Grid
 ) -> tuple[float, float]:
-    """Fit the tilt between new and stored heights; return it and its standard error, rad.
+    """Fit the tilt between new and stored heights.
 
+    The results are the tilt and its standard error, rad.
     `cells` (n, 2), `heights` (n,), m, and `differences` (n,), m, are those of the new points. A
     plane is fitted to the medians of the differences in squares. A horizontal shift that remains
     is fitted too: it adds the local slope of the terrain times the shift. The standard error

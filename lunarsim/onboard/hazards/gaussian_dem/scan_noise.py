@@ -1,4 +1,4 @@
-"""Range noise of a scan, estimated from its returns and compared with the stated noise.
+"""Range noise of a scan, estimated from its returns.
 
 White noise adds the same variance to range differences at any distance between pixels; terrain adds
 more variance over larger distances. The height differences of a random walk, which the Gaussian DEM
@@ -35,7 +35,7 @@ def with_estimated_noise(scan: LidarScan) -> LidarScan:
 
 
 def noise_ratio(scan: LidarScan) -> float:
-    """Return a lower estimate of the range noise over the stated noise; NaN if unknown.
+    """Return a lower estimate of the noise over the stated noise; NaN if unknown.
 
     The differences between a range and the mean of two others at one or two pixels in its row are
     compared: twice the variance at one pixel minus the variance at two contains the noise, and no
