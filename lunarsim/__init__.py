@@ -44,6 +44,7 @@ _MODULES = {
     "build_world": "lunarsim.simulation.worlds",
     "FlightFigures": "lunarsim.viz.flight",
     "plot_flight": "lunarsim.viz.flight",
+    "site_safety": "lunarsim.world.site_safety",
     "load_terrain": "lunarsim.world.terrain.dtm",
     "Heightfield": "lunarsim.world.terrain.heightfield",
     "Terrain": "lunarsim.world.terrain.terrain",

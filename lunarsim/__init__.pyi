@@ -21,6 +21,7 @@ from lunarsim.simulation.worlds import build_world as build_world
 from lunarsim.simulation.worlds import rebuild_world as rebuild_world
 from lunarsim.viz.flight import FlightFigures as FlightFigures
 from lunarsim.viz.flight import plot_flight as plot_flight
+from lunarsim.world.site_safety import site_safety as site_safety
 from lunarsim.world.terrain.dtm import load_terrain as load_terrain
 from lunarsim.world.terrain.heightfield import Heightfield as Heightfield
 from lunarsim.world.terrain.terrain import Terrain as Terrain

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from lunarsim import Grid, InputError, Scenario, Terrain, flight_seed
+from lunarsim import Grid, InputError, Scenario, Terrain, flight_seed, site_safety
 from lunarsim.api import HazardMap, LidarScan, RandomStreams, State
 from lunarsim.frames import sensor_axes
 from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
@@ -27,7 +27,6 @@ from lunarsim.search import ChoiceRange, ContinuousRange, SearchSpace
 from lunarsim.studies import Case, Metric, Study, run_script
 from lunarsim.studies.worst_case import OPTIONS, WorstCaseProblem
 from lunarsim.world import World
-from lunarsim.world.site_safety import site_safety
 
 CLAIMED_P = 0.95  # claims are sites with a larger p_safe, inside the domain
 # A world with fewer claimed sites has no usable precision; its score is above 1.

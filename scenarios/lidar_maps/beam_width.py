@@ -17,7 +17,7 @@ import click
 import numpy as np
 from rich.table import Table
 
-from lunarsim import Grid, Heightfield, Terrain
+from lunarsim import Grid, Heightfield, Terrain, site_safety
 from lunarsim.api import Estimate, HazardMap, Lander, State
 from lunarsim.frames import sensor_axes
 from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper
@@ -27,7 +27,6 @@ from lunarsim.rocks.size_distribution import sample_diameters
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.studies import Case, Report, Study, run_script
 from lunarsim.world import World
-from lunarsim.world.site_safety import site_safety
 from lunarsim.world.terrain import fractal_relief, place_rocks
 
 # RMS slope of the relief, deg, and rock cover of each world; they repeat.

@@ -29,6 +29,7 @@ from rich.table import Table
 from scene_cache import SceneSites, load_or_evaluate
 from worlds import LANDERS, RANGES, RELIEFS, ROCKS, UPRIGHT, LidarScene, sample_matrix
 
+from lunarsim import site_safety
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.evaluation.reliability import (
@@ -46,7 +47,6 @@ from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import dem_site_evidence
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, new_figure, save
-from lunarsim.world.site_safety import site_safety
 
 F = TypeVar("F", bound=Callable[..., Any])
 

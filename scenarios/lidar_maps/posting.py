@@ -17,8 +17,8 @@ import numpy as np
 from rich.table import Table
 from worlds import LANDERS, sample_matrix
 
+from lunarsim import site_safety
 from lunarsim.studies import Case, Report, Study, run_script
-from lunarsim.world.site_safety import site_safety
 
 POSTINGS = (0.2, 0.1, 0.05)
 REFERENCE = 0.025

@@ -17,11 +17,11 @@ from calibration import SITES, CalibrationMethod, options, study
 from scene_cache import SceneSites
 from worlds import LANDERS, UPRIGHT, LidarScene, sample_matrix
 
+from lunarsim import site_safety
 from lunarsim.onboard.calibration.quadtree import QUADTREE
 from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector, SiteSettings
 from lunarsim.onboard.hazards.quadtree.site_evidence import quadtree_site_evidence
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.world.site_safety import site_safety
 
 FLASHES = 4
 # Ratio of the half side of the landing zone to that of the lander footprint, as in the paper.

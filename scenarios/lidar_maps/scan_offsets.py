@@ -16,13 +16,12 @@ import numpy as np
 from rich.table import Table
 from worlds import LANDERS, UPRIGHT, LidarScene
 
-from lunarsim import Grid
+from lunarsim import Grid, site_safety
 from lunarsim.api import Estimate
 from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper, SamplePool, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import DemSnapshot
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.studies import Case, Report, Study, run_script
-from lunarsim.world.site_safety import site_safety
 
 RELIEFS = ("flat", "fractal-3", "tilt-5", "fractal-6", "rough-5", "craters")
 ROCKS = ("golombek-5", "golombek-2", "one-metre", "golombek-10", "irregular-5", "small-0.6")

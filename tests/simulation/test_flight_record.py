@@ -105,8 +105,10 @@ def test_extremes_and_errors_are_those_of_the_trajectory(flown):
     # The site is known on the map, whose error is that of navigation when it was made.
     aimed = simulation.site[:2] - flight.map_error[:2]
     assert row["miss_m"] == pytest.approx(np.hypot(*(touchdown.position[:2] - aimed)))
-    assert 0.0 < row["miss_m"] < 2.0
     error = simulation.navigation_error
+    # The lander is near its site by its own estimate, which has drifted since the map was made.
+    drift = np.hypot(*(error - flight.map_error)[:2])
+    assert row["miss_m"] > 0.0 and abs(row["miss_m"] - drift) < 1.0
     assert row["navigation_error_m"] == pytest.approx(np.hypot(error[0], error[1]), abs=0.05)
 
 
