@@ -36,7 +36,6 @@ _MODULES = {
     "allow_modules": "lunarsim.parts.module_permission",
     "RandomStreams": "lunarsim.rng",
     "flight_seed": "lunarsim.rng",
-    "conservative_safety": "lunarsim.safety",
     "exact_safety": "lunarsim.safety",
     "Scenario": "lunarsim.scenario.scenario",
     "Flight": "lunarsim.simulation.flight",

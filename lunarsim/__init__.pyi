@@ -12,7 +12,6 @@ from lunarsim.onboard.hazards.hazard_map import HazardMap as HazardMap
 from lunarsim.parts.module_permission import allow_modules as allow_modules
 from lunarsim.rng import RandomStreams as RandomStreams
 from lunarsim.rng import flight_seed as flight_seed
-from lunarsim.safety import conservative_safety as conservative_safety
 from lunarsim.safety import exact_safety as exact_safety
 from lunarsim.scenario.scenario import Scenario as Scenario
 from lunarsim.simulation.flight import Flight as Flight
