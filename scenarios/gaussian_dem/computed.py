@@ -30,7 +30,6 @@ from lunarsim import (
     Grid,
     Heightfield,
     Terrain,
-    conservative_safety,
     exact_safety,
     gaussian_dem,
     load_terrain,
@@ -43,6 +42,7 @@ from lunarsim.rocks.field import RockField
 from lunarsim.safety import (
     alhat_safety,
     bounded_safety,
+    conservative_safety,
     plane_stochastic_safety,
     stochastic_safety,
 )
