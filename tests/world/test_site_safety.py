@@ -131,9 +131,10 @@ def test_a_large_part_keeps_sites_that_coincide_with_other_parts(terrain):
     truth = TerrainTruth.of(World(terrain, 1.622), LANDER)
     wide = truth.within((-6.0, 6.0, -6.0, 6.0), max_cells=20)
     assert max(wide.safe.shape) <= 20
-    shifted = truth.within((-5.3, 6.7, -6.0, 6.0), max_cells=20)
-    common = np.isin(np.round(shifted.grid.x, 6), np.round(wide.grid.x, 6))
-    assert common.sum() > 10
+    for shift in (0.2, 0.4, 0.6, 0.8):
+        shifted = truth.within((-6.0 + shift, 6.0 + shift, -6.0, 6.0), max_cells=20)
+        common = np.isin(np.round(shifted.grid.x, 6), np.round(wide.grid.x, 6))
+        assert common.sum() >= len(common) - 2
     assert np.array_equal(truth.is_safe_at(wide.grid.centres()), wide.safe)
 
 
