@@ -44,7 +44,6 @@ def measure_offsets(case: Case) -> list[dict[str, Any]]:
     pair = scenes(case.number, case.seed)
     terrain, lander = pair[0].terrain(), LANDERS["paper"]
     grid = Grid.centred((0.0, 0.0), SIDE, POSTING)
-    safe, known = site_safety(terrain, grid, lander)
     scans = [scene.simulate_scan(terrain) for scene in pair]
     azimuth = np.random.default_rng([case.seed, case.number]).uniform(0.0, 2.0 * np.pi)
     rows = []
@@ -60,6 +59,7 @@ def measure_offsets(case: Case) -> list[dict[str, Any]]:
             pool.add(scan.points(place, UPRIGHT), scan.height_sigma(UPRIGHT), scan.spacing(UPRIGHT))
         plain = DemSnapshot(pooled_dem(pool), lander, RockExpectation(), None).hazard_map
         for name, found in (("yes", mapper.hazard_map()), ("no", plain)):
+            safe, known = site_safety(terrain, found.grid, lander)
             claimed = known & found.in_domain & (found.p_safe > 0.95)
             rows.append({
                 "offset_m": offset, "aligned": name, "known": int(known.sum()),

@@ -80,8 +80,6 @@ def measure(case: Case) -> list[dict[str, Any]]:
     pair = scenes(case.number, case.seed)
     terrain, lander = pair[0].terrain(), LANDERS["paper"]
     azimuth = np.random.default_rng([case.seed, case.number]).uniform(0.0, 2.0 * np.pi)
-    if not case["nominal"]:
-        safe, known = site_safety(terrain, GRID, lander)
     rows = []
     for noise, *tilts in FAULTS[:1] if case["nominal"] else FAULTS:
         shots = [replace(scene, noise=float(noise)).simulate_scan(terrain) for scene in pair]
@@ -91,6 +89,7 @@ def measure(case: Case) -> list[dict[str, Any]]:
                 "in_domain": bool(found.in_domain.any()),
             }  # fmt: skip
             if not case["nominal"]:
+                safe, known = site_safety(terrain, found.grid, lander)
                 yes = known & found.in_domain & (found.p_safe > 0.95)
                 no = known & found.in_domain & (found.p_safe < 0.05)
                 row |= {
