@@ -26,7 +26,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.models.slosh import Slosh
 from lunarsim.models.thrusters import Thrusters
 from lunarsim.onboard.control.allocation import ThrusterAllocation
-from lunarsim.onboard.guidance.rotation import delay_margin
+from lunarsim.onboard.guidance.rotation import RotationLimits, delay_margin
 from lunarsim.scenario import Scenario, shipped
 from lunarsim.scenario.changes import with_changes
 
@@ -120,6 +120,22 @@ MISDESIGNS = {
     "propellant too little for the approach": (
         ("vehicle.propellant_mass_kg=30",), {"propellant-nominal", "propellant-divert"}, set(),
     ),
+    "thrusters with little propellant": (
+        (*JETS, "vehicle.thrusters.propellant_kg=0.05"), {"thruster-propellant"}, set(),
+    ),
+    "small offset torque for the complete descent": (
+        (*JETS, "vehicle.com_full_m=[0.02, 0, 0]", "vehicle.com_dry_m=[0.02, 0, 0]",
+         "vehicle.engine.gimbal_limit_deg=0", "vehicle.thrusters.propellant_kg=1"),
+        {"thruster-propellant"}, set(),
+    ),
+    "hold that ends with empty tanks": (
+        ("terminal_descent.kind=vertical", "terminal_descent.hold_propellant_kg=0"), {"hold-end"},
+        set(),
+    ),
+    "hold that never begins": (
+        ("terminal_descent.kind=vertical", "terminal_descent.hold_propellant_kg=395"),
+        {"hold-start"}, set(),
+    ),
     "reserve above the propellant": (
         ("approach.reserve_kg=500",), {"propellant-nominal", "propellant-divert"}, set(),
     ),
@@ -159,13 +175,21 @@ MISDESIGNS = {
     "high centre of mass on narrow legs": (
         ("vehicle.leg_radius_m=1", "vehicle.com_height_m=2.5"), {"tip-over-speed"}, set(),
     ),
+    "long pulses of the engine": (
+        (*JETS, "vehicle.engine.continuous_min_n=6000", "vehicle.engine.pulse_period_s=3"),
+        {"touchdown-speed"}, set(),
+    ),
+    "tolerated drift above the limit of the gear": (
+        ("vehicle.horizontal_speed_limit_m_s=0.2",), {"touchdown-drift"}, set(),
+    ),
     "fast terminal descent": (
         ("approach.vertical_speed_m_s=3.5",), {"touchdown-speed"}, set(),
     ),
 }  # fmt: skip
-# True findings about packaged scenarios: morpheus has a roughness limit above its clearance;
+# True findings about packaged scenarios: morpheus has a roughness limit above its clearance, and
+# hovers with 7 kg/s, so that a hold down to 10 kg ends with empty tanks;
 # few_sites has little propellant on purpose.
-FINDINGS = {"morpheus": {"belly-clearance"}, "few_sites": {"propellant-divert"}}
+FINDINGS = {"morpheus": {"belly-clearance", "hold-end"}, "few_sites": {"propellant-divert"}}
 
 
 @cache
@@ -333,6 +357,47 @@ def test_errors_at_touchdown_follow_from_control_and_throttle():
     # 12 deg above 8 m to 2 deg at touchdown; at 2 m/s, a lag of 1.8 / f is 3.6 / f metres.
     row = checked("instruments", ("control.frequency_rad_s=1.5",)).named("touchdown-tilt")
     assert row.available == pytest.approx(2.0 + 10.0 * 2.4 / 8.0)
+
+
+def test_speed_error_of_pulses_is_half_of_their_ripple():
+    found = checked("instruments", (*JETS, "vehicle.engine.continuous_min_n=6000",
+                                    "vehicle.engine.pulse_period_s=0.5"))  # fmt: skip
+    mass = 1500.0 - found.named("propellant-nominal").required
+    on = 0.5 * mass * 1.622 / 6000.0
+    # In free fall between two pulses, the speed changes by g times the time without thrust.
+    expected = 2.0 + 0.5 * 1.622 * (0.5 - on)
+    assert found.named("touchdown-speed").available == pytest.approx(expected, rel=0.01)
+
+
+def test_propellant_of_thrusters_is_that_of_three_rotations_and_the_offset_torque():
+    changes = (*JETS, "policy.kind=no-divert", "vehicle.engine.gimbal_limit_deg=0")
+    offset = ("vehicle.com_full_m=[0.02, 0, 0]", "vehicle.com_dry_m=[0.02, 0, 0]")
+    base = checked("instruments", changes)
+    mission = Mission(with_changes(Scenario.load(shipped.path_of("instruments")), changes))
+    # Two clusters push along z at 1.6 m from the axis that they turn about, seen along a diagonal.
+    per_impulse = 1.0 / (1.6 / np.sqrt(2.0)) / (290.0 * 9.80665)
+    limits = RotationLimits.of(mission.lander, mission.software.control)
+    peak = min(limits.max_rate, np.sqrt(limits.acceleration(1500.0) * mission.largest_rotation))
+    rotations = 6.0 * 1400.0 * peak * per_impulse
+    assert base.named("thruster-propellant").required == pytest.approx(rotations, rel=1e-6)
+    turned = checked("instruments", (*changes, *offset)).named("thruster-propellant")
+    time = mission.path.time[-1] + mission.terminal_time
+    torque = 0.02 * mission.terminal_thrust * time * per_impulse
+    assert turned.required == pytest.approx(rotations + torque, rel=1e-6)
+
+
+def test_propellant_of_a_hold_suffices_for_the_descent_from_it():
+    # Without a reserve, the nominal propellant is that until touchdown.
+    found = checked("instruments", ("approach.reserve_kg=0",))
+    mass = 1500.0 - found.named("propellant-nominal").required
+    # From 3 m at a quarter of 2 m/s.
+    needed = mass * (1.0 - np.exp(-1.622 * 3.0 / 0.5 / (311.0 * 9.80665)))
+    assert found.named("hold-end").required == pytest.approx(needed, rel=0.01)
+    assert found.named("hold-end").available == found.named("hold-start").available == 10.0
+    assert found.named("hold-start").required == pytest.approx(mass - 1100.0, rel=0.01)
+    for kind in ("gravity-turn", "velocity-null"):
+        other = checked("instruments", (f"terminal_descent.kind={kind}",))
+        assert not {"hold-end", "hold-start", "touchdown-drift"} & {row.name for row in other.rows}
 
 
 def test_overshoot_in_a_control_period_is_that_of_the_law():

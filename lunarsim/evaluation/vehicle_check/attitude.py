@@ -13,6 +13,7 @@ from lunarsim.evaluation.vehicle_check.mission import Divert, Mission
 from lunarsim.evaluation.vehicle_check.rows import AT_LEAST, AT_MOST, Check, Found, one
 from lunarsim.frames import angle_between
 from lunarsim.models.jet_lander import JetLander
+from lunarsim.models.lander import STANDARD_GRAVITY
 from lunarsim.models.thrusters import Thrusters
 from lunarsim.onboard.control.allocation import ThrusterAllocation
 from lunarsim.onboard.control.phase_plane import PhasePlane
@@ -211,6 +212,29 @@ def _slosh(mission: Mission) -> list[Found]:
     return one(most, tilt_torque(lander))
 
 
+def _thruster_propellant(mission: Mission) -> list[Found]:
+    """Return the least propellant that the thrusters use, and that in their tanks, kg.
+
+    Three rotations count, each by the largest angle: away from the vertical, at a divert, and back.
+    With the peak rate w and the moment of inertia I, one needs the angular impulse ``2 I w``. The
+    offset torque that the gimbal leaves acts for the duration of the descent.
+    """
+    lander, limits = mission.lander, RotationLimits.of(mission.lander, mission.software.control)
+    if not isinstance(lander, JetLander):
+        return []
+    inertia = lander.inertia(mission.start_mass)[:2]
+    peak = np.sqrt(limits.acceleration(mission.start_mass) * mission.largest_rotation)
+    impulse = 3.0 * 2.0 * inertia * min(peak, limits.max_rate)
+    duration = float(mission.path.time[-1]) + mission.terminal_time
+    for mass in (mission.start_mass, lander.dry_mass):
+        offset = offset_torques(lander, mass, mission.terminal_thrust)
+        impulse = impulse + 0.5 * duration * offset
+    allocation = allocation_of(lander.thrusters)
+    thrust = [float(allocation.group_thrust(axis).sum()) for axis in np.eye(3)[:2]]
+    used = float((impulse * thrust).max()) / (lander.thrusters.specific_impulse * STANDARD_GRAVITY)
+    return one(used, lander.thrusters.propellant)
+
+
 ATTITUDE_CHECKS = (
     Check("approach-rotation-time", "attitude", "s", AT_LEAST, 0.0, _approach_rotation,
         "time of a rotation on the approach ({angle:.0f} deg)",
@@ -241,4 +265,8 @@ ATTITUDE_CHECKS = (
         "control torque against the torque of sloshing propellant",
         "slosh rotates the lander after each divert: add tanks (vehicle.slosh.tanks_m), lower "
         "vehicle.slosh.radius_m, or raise vehicle.thrusters.force_n"),
+    Check("thruster-propellant", "propellant", "kg", AT_LEAST, 1.0, _thruster_propellant,
+        "propellant of the thrusters for three rotations and the engine's offset torque",
+        "the lander loses its attitude control: raise vehicle.thrusters.propellant_kg or "
+        "cluster_radius_m, or move vehicle.com_full_m and com_dry_m to the engine's axis"),
 )  # fmt: skip

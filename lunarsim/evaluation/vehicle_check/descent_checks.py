@@ -116,14 +116,47 @@ def _touchdown_speed(mission: Mission) -> list[Found]:
     """Return the limit of vertical speed, and the speed at touchdown.
 
     A thrust error F gives the vertical descent with gain k a speed error of ``F / (m k)``. The
-    throttle leaves its dead band plus half a step; the speed is the nominal one plus this error.
+    throttle leaves its dead band plus half a step. Pulses of the thrust P with the period T and the
+    duty cycle d change the speed by ``P d (1 - d) T / m``, half of it up and half of it down. The
+    speed is the nominal one plus these errors.
     """
-    lander, law = mission.lander, mission.vertical_descent
+    lander, law, mass = mission.lander, mission.vertical_descent, mission.touchdown_mass
     error, gain = 0.0, law.speed_gain if law else VerticalDescent().speed_gain
     if isinstance(lander, JetLander):
-        error = lander.engine.dead_band + 0.5 * lander.engine.throttle_step
+        engine, weight = lander.engine, mass * mission.gravity
+        error = (engine.dead_band + 0.5 * engine.throttle_step) / gain
+        if engine.continuous_min > weight:
+            off = 1.0 - weight / engine.continuous_min
+            error += 0.5 * weight * off * engine.pulse_period
     speed = mission.software.approach.vertical_descent_speed
-    return one(lander.vertical_speed_limit, speed + error / (mission.touchdown_mass * gain))
+    return one(lander.vertical_speed_limit, speed + error / mass)
+
+
+def _touchdown_drift(mission: Mission) -> list[Found]:
+    """Return the limit of horizontal speed, and the speed at which the law touches down."""
+    law = mission.vertical_descent
+    return [] if law is None else one(mission.lander.horizontal_speed_limit, law.tolerated_speed)
+
+
+def _hold_end(mission: Mission) -> list[Found]:
+    """Return the propellant from a held height to touchdown, and that which ends the hold, kg.
+
+    The vertical descent holds up to the height at which it tilts, and then descends at its minimum
+    speed against gravity.
+    """
+    law, speed = mission.vertical_descent, mission.software.approach.vertical_descent_speed
+    if law is None:
+        return []
+    dv = mission.gravity * law.low_height / (law.min_speed_fraction * speed)
+    needed = mission.touchdown_mass * (1.0 - np.exp(-dv / mission.lander.exhaust_velocity))
+    return one(needed, law.hold_propellant)
+
+
+def _hold_start(mission: Mission) -> list[Found]:
+    """Return the propellant left at the nominal touchdown, and that which ends a hold, kg."""
+    law = mission.vertical_descent
+    left = mission.touchdown_mass - mission.lander.dry_mass
+    return [] if law is None else one(left, law.hold_propellant)
 
 
 def _touchdown_tilt(mission: Mission) -> list[Found]:
@@ -186,6 +219,13 @@ DESCENT_CHECKS = (
         "propellant for the same descent with a divert to the edge of the map",
         "safe sites near the edge of the map are refused for lack of propellant: raise "
         "vehicle.propellant_mass_kg, or lower approach.reserve_kg or size_m of the map"),
+    Check("hold-end", "propellant", "kg", AT_LEAST, 0.0, _hold_end,
+        "propellant that ends a hold of the height against the descent from there",
+        "the tanks are empty before touchdown: raise terminal_descent.hold_propellant_kg"),
+    Check("hold-start", "propellant", "kg", AT_MOST, 0.0, _hold_start,
+        "propellant that ends a hold of the height against that left at touchdown",
+        "the lander never holds its height near the terrain: lower "
+        "terminal_descent.hold_propellant_kg, or raise vehicle.propellant_mass_kg"),
     Check("divert-reach", "propellant", "m", AT_LEAST, 0.99, _reach,
         "radius in reach at the first decision against half the radius of the map",
         "most of the mapped sites are out of reach: raise decisions.first_altitude_m, "
@@ -198,6 +238,9 @@ DESCENT_CHECKS = (
         "vertical speed at touchdown",
         "landings violate the limit: lower approach.descent_speed_m_s, vehicle.engine.dead_band_n "
         "or throttle_step_n"),
+    Check("touchdown-drift", "gear", "m/s", AT_MOST, 0.1, _touchdown_drift,
+        "horizontal speed at which the terminal descent touches down",
+        "landings violate the limit: lower terminal_descent.tolerated_speed_m_s"),
     Check("touchdown-tilt", "gear", "deg", AT_MOST, 0.25, _touchdown_tilt,
         "tilt that guidance and attitude control allow at touchdown",
         "landings violate the limit, or the lander drifts: lower control.dead_band_deg, or raise "
