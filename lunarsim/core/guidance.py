@@ -99,12 +99,12 @@ def _planned_deceleration(height, law):
 
 @kernel(exact=True)
 def _limit_descent_speed(state, height, offset, is_far, nominal, mass, law):
-    """Return the vertical velocity, m/s, slower with a fast drift or beside the site.
+    """Return the vertical velocity, m/s, and whether the lander needs its tilt near the terrain.
 
-    The result is `nominal`, the nominal vertical velocity, m/s (negative), if the lander can stop
+    The velocity is `nominal`, the nominal vertical velocity, m/s (negative), if the lander can stop
     its drift and return from an `offset`, m, within `height`, m, above touchdown. Otherwise it
     falls to zero at a height where the lander can tilt, which is higher for a faster drift and a
-    larger offset; a lander below that height climbs slowly. The result is at least a fraction of
+    larger offset; a lander below that height climbs slowly. The velocity is at least a fraction of
     `nominal` at a `mass` (kg) with little propellant left, and for an offset that is not far
     (`is_far`). `state` (2, 3) is position and velocity; `law` is a `VerticalDescentParams`.
     """
@@ -112,13 +112,13 @@ def _limit_descent_speed(state, height, offset, is_far, nominal, mass, law):
     stopping = excess / _planned_deceleration(height, law)
     needed = max(stopping, _return_time(offset, law))
     if needed == 0.0 or -nominal * needed <= height:
-        return nominal
+        return nominal, False
     may_hold = is_far or (stopping > 0.0 and -nominal * stopping > height)
     if not may_hold or mass <= law.dry_mass + law.hold_propellant:
-        return min(-height / needed, law.min_speed_fraction * nominal)
+        return min(-height / needed, law.min_speed_fraction * nominal), may_hold
     beside = offset / law.tolerated_offset - 1.0 if is_far else 0.0
     held = law.low_height * min(max(excess / law.tolerated_speed, beside), 1.0)
-    return min((held - height) / needed, MAX_CLIMB_SPEED_M_S)
+    return min((held - height) / needed, MAX_CLIMB_SPEED_M_S), True
 
 
 @kernel(exact=True)
@@ -171,12 +171,10 @@ def vertical_descent_command(state, end, nominal, mass, law, command):
     height = state[0, 2] - end[2]
     offset = np.hypot(state[0, 0] - end[0], state[0, 1] - end[1])
     is_far = _is_far(offset, law)
-    wanted = _limit_descent_speed(state, height, offset, is_far, nominal, mass, law)
-    tan_tilt = _tan_max_tilt(
-        height, law.full_tilt_height if wanted == nominal else law.low_height, law
-    )
+    wanted, tilts = _limit_descent_speed(state, height, offset, is_far, nominal, mass, law)
+    tan_tilt = _tan_max_tilt(height, law.low_height if tilts else law.full_tilt_height, law)
     up = max(law.gravity + law.speed_gain * (wanted - state[1, 2]), 0.3 * law.gravity)
-    planned = law.min_speed_fraction * nominal if is_far else nominal
+    planned = min(wanted, law.min_speed_fraction * nominal) if is_far else nominal
     gain = law.frequency**2 * _position_gain(offset, height, planned, law)
     for k in range(2):
         toward = gain * (end[k] - state[0, k])

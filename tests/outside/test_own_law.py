@@ -33,11 +33,11 @@ def test_its_settings_are_checked(small):
 def test_it_flies_the_environment_as_an_agent(outside, tmp_path, monkeypatch):
     monkeypatch.delenv("LUNARSIM_ALLOW_MODULES")
     arguments = ["evaluate", "Guidance-v1", "--episodes", "2", "--jobs", "1"]
-    arguments += ["--agent", "e-guidance", "--agent", OWN, "--out", str(tmp_path / "out")]
+    arguments += ["--agent", "apollo", "--agent", OWN, "--out", str(tmp_path / "out")]
     done = CliRunner().invoke(main, arguments)
     assert done.exit_code == 0, done.output
     rows = pd.read_parquet(tmp_path / "out" / "results.parquet")
     assert rows["safe"].all()
     built_in, custom = (group["propellant_kg"].to_numpy() for _, group in rows.groupby("agent"))
     # A law without a shape leaves the time for rotations that the Apollo law needs.
-    np.testing.assert_allclose(custom, built_in, rtol=0.08)
+    np.testing.assert_allclose(custom, built_in, rtol=0.15)

@@ -67,11 +67,11 @@ def vertical_descent(r, v, touchdown, planned, gravity, lag, may_hold=True):
 
     `touchdown` (3,) is the position at touchdown, m, and `planned` the downward speed, m/s. The
     horizontal loop is a damped oscillator about the touchdown point, which moves towards this point
-    at most so fast that 0.15 m/s are left at touchdown, after a descent at a quarter of `planned`
-    from farther away than a tilt error of 2 deg can keep the lander. A lander that cannot stop its
-    drift before touchdown (with half of the pull that the tilt limit allows here), or return from
-    1 to 20 m to 1 m beside the point, descends more slowly. If it has the propellant to hold
-    (`may_hold`), its speed reaches zero 3 m above the terrain with a drift of 0.6 m/s or 2 m beside
+    at most so fast that 0.15 m/s are left at touchdown, after the slowed descent, at a quarter of
+    `planned` or more, from farther away than a tilt error of 2 deg can keep the lander. A lander
+    that cannot stop its drift before touchdown (with half of the pull that the tilt limit allows
+    here), or return from 1 to 20 m to 1 m beside the point, descends more slowly. If it has the
+    propellant to hold (`may_hold`), its speed reaches zero 3 m above the terrain with a drift of 0.6 m/s or 2 m beside
     the point and more, proportionally lower with less; below it climbs. It does not hold for an
     offset that a tilt error of 2 deg keeps.
     """
@@ -88,8 +88,9 @@ def vertical_descent(r, v, touchdown, planned, gravity, lag, may_hold=True):
     stop = max(drift - 0.3, 0.0) / deceleration
     back = 2.2 / frequency * math.log(distance) if 1.0 < distance <= 20.0 else 0.0
     if max(stop, back) > 0.0 and planned * max(stop, back) > height:
-        full_tilt_height = 3.0
-        if may_hold and (is_far or (stop > 0.0 and planned * stop > height)):
+        waits = is_far or (stop > 0.0 and planned * stop > height)
+        full_tilt_height = 3.0 if waits else 8.0
+        if may_hold and waits:
             hold = min(3.0, max(10.0 * (drift - 0.3), 3.0 * (distance - 1.0) * is_far, 0.0))
             speed = max((height - hold) / max(stop, back), -0.5)
         else:
@@ -97,7 +98,8 @@ def vertical_descent(r, v, touchdown, planned, gravity, lag, may_hold=True):
     up = max(gravity + 1.5 * (-speed - v[2]), 0.3 * gravity)
     # The speed at which the damped loop approaches the point in the end.
     wanted = -frequency / (2.0 * damping) * offset
-    fastest = 0.15 + deceleration * max(height, 0.0) / (planned / 4.0 if is_far else planned)
+    descent = max(speed, planned / 4.0) if is_far else planned
+    fastest = 0.15 + deceleration * max(height, 0.0) / descent
     if np.linalg.norm(wanted) > fastest:
         wanted *= fastest / np.linalg.norm(wanted)
     side = 2.0 * damping * frequency * (wanted - np.array(v[:2]))

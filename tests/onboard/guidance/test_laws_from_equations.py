@@ -63,7 +63,7 @@ def test_vertical_descent(lag):
     touchdown = PhaseEnd(np.array([1.0, 2.0, 1.6]), np.array([0.0, 0.0, -2.0]))
     slowed = 0
     for _ in range(400):
-        r = touchdown.position + rng.normal(0.0, 2.0, 3)
+        r = touchdown.position + rng.normal(0.0, 1.5, 3)
         r[2] = rng.uniform(0.5, 14.0)
         v = rng.normal(0.0, 1.0, 3) - [0.0, 0.0, 2.0]
         own = law.command(estimate(r, v), touchdown, 0.0)
