@@ -40,4 +40,4 @@ def test_it_flies_the_environment_as_an_agent(outside, tmp_path, monkeypatch):
     assert rows["safe"].all()
     built_in, custom = (group["propellant_kg"].to_numpy() for _, group in rows.groupby("agent"))
     # A law without a shape leaves the time for rotations that the Apollo law needs.
-    np.testing.assert_allclose(custom, built_in, rtol=0.15)
+    np.testing.assert_allclose(custom, built_in, rtol=0.1)

@@ -71,9 +71,9 @@ def vertical_descent(r, v, touchdown, planned, gravity, lag, may_hold=True):
     `planned` or more, from farther away than a tilt error of 2 deg can keep the lander. A lander
     that cannot stop its drift before touchdown (with half of the pull that the tilt limit allows
     here), or return from 1 to 20 m to 1 m beside the point, descends more slowly. If it has the
-    propellant to hold (`may_hold`), its speed reaches zero 3 m above the terrain with a drift of 0.6 m/s or 2 m beside
-    the point and more, proportionally lower with less; below it climbs. It does not hold for an
-    offset that a tilt error of 2 deg keeps.
+    propellant to hold (`may_hold`), its speed reaches zero 3 m above the terrain with a drift of
+    0.6 m/s or 2 m beside the point and more, proportionally lower with less; below it climbs. It
+    does not hold for an offset that a tilt error of 2 deg keeps.
     """
     frequency, damping = 0.6, 1.1
     if lag > 0.0:
