@@ -38,6 +38,7 @@ def test_it_flies_the_environment_as_an_agent(outside, tmp_path, monkeypatch):
     assert done.exit_code == 0, done.output
     rows = pd.read_parquet(tmp_path / "out" / "results.parquet")
     assert rows["safe"].all()
-    built_in, custom = (group["propellant_kg"].to_numpy() for _, group in rows.groupby("agent"))
+    custom, built_in = (group["propellant_kg"].to_numpy() for _, group in rows.groupby("agent"))
     # A law without a shape leaves the time for rotations that the Apollo law needs.
-    np.testing.assert_allclose(custom, built_in, rtol=0.1)
+    ratio = custom / built_in
+    assert (ratio > 0.85).all() and (ratio < 1.0).all()
