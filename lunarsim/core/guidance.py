@@ -99,7 +99,7 @@ def _planned_deceleration(height, law):
 
 @kernel(exact=True)
 def _limit_descent_speed(state, height, offset, is_far, nominal, mass, law):
-    """Return the vertical velocity, m/s, and whether the lander needs its tilt near the terrain.
+    """Return the vertical velocity, m/s, and whether to tilt near the terrain.
 
     The velocity is `nominal`, the nominal vertical velocity, m/s (negative), if the lander can stop
     its drift and return from an `offset`, m, within `height`, m, above touchdown. Otherwise it
