@@ -287,6 +287,8 @@ def test_commands_are_those_of_the_reference():
         mass = (1500.0, 1105.0)[n % 2]
         position, velocity = rng.normal(0, 2, 3), rng.normal(0, 1.0, 3) - [0.0, 0.0, 2.0]
         position[2] = rng.uniform(0.0, 14.0)
+        if n % 10 == 0:  # at rest beside the site, below its height
+            position, velocity = np.array([1.1, 0.0, rng.uniform(0.6, 1.5)]), np.zeros(3)
         command = law.command(
             estimate(position, velocity, mass), PhaseEnd(end, np.array([0.0, 0.0, -2.0])), 0.0
         )
