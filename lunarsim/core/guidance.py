@@ -123,10 +123,11 @@ def _limit_descent_speed(state, height, offset, is_far, nominal, mass, law):
 
 @kernel(exact=True)
 def _return_time(offset, law):
-    """Return the time (s) in which the position loop reduces an offset (m) to the tolerated one.
+    """Return the time (s) to reduce an offset (m) to the tolerated one.
 
-    The offset decreases exponentially at the rate ``frequency / (2 damping)``, 1/s. From beyond
-    twice the maximum offset the lander does not return: 0. `law` is a `VerticalDescentParams`.
+    The position loop reduces the offset exponentially at the rate ``frequency / (2 damping)``,
+    1/s. From beyond twice the maximum offset the lander does not return: 0. `law` is a
+    `VerticalDescentParams`.
     """
     if not law.tolerated_offset < offset <= 2.0 * law.max_offset:
         return 0.0
@@ -135,7 +136,7 @@ def _return_time(offset, law):
 
 @kernel(exact=True)
 def _is_far(offset, law):
-    """Return whether the lander holds its height until it has returned from an offset, m.
+    """Return whether an offset (m) is so large that the lander holds its height.
 
     It does not hold for an offset that a steady tilt error of up to the maximum tilt at touchdown
     can cause, because the position loop would not remove it. `law` is a `VerticalDescentParams`.

@@ -118,7 +118,8 @@ MISDESIGNS = {
         ("vehicle.propellant_mass_kg=46.5",), {"propellant-divert"}, set(),
     ),
     "propellant too little for the approach": (
-        ("vehicle.propellant_mass_kg=30",), {"propellant-nominal", "propellant-divert"}, set(),
+        ("vehicle.propellant_mass_kg=30",), {"propellant-nominal", "propellant-divert"},
+        {"hold-start"},
     ),
     "thrusters with little propellant": (
         (*JETS, "vehicle.thrusters.propellant_kg=0.05"), {"thruster-propellant"}, set(),

@@ -213,7 +213,7 @@ def _slosh(mission: Mission) -> list[Found]:
 
 
 def _thruster_propellant(mission: Mission) -> list[Found]:
-    """Return the least propellant that the thrusters use, and that in their tanks, kg.
+    """Return needed propellant of the thrusters, and that in their tanks, kg.
 
     Three rotations count, each by the largest angle: away from the vertical, at a divert, and back.
     With the peak rate w and the moment of inertia I, one needs the angular impulse ``2 I w``. The

@@ -133,13 +133,13 @@ def _touchdown_speed(mission: Mission) -> list[Found]:
 
 
 def _touchdown_drift(mission: Mission) -> list[Found]:
-    """Return the limit of horizontal speed, and the speed at which the law touches down."""
+    """Return the limit of horizontal speed, and the tolerated speed of the law."""
     law = mission.vertical_descent
     return [] if law is None else one(mission.lander.horizontal_speed_limit, law.tolerated_speed)
 
 
 def _hold_end(mission: Mission) -> list[Found]:
-    """Return the propellant from a held height to touchdown, and that which ends the hold, kg.
+    """Return propellant for the descent from a hold, and that which ends it, kg.
 
     The vertical descent holds up to the height at which it tilts, and then descends at its minimum
     speed against gravity.
@@ -153,7 +153,7 @@ def _hold_end(mission: Mission) -> list[Found]:
 
 
 def _hold_start(mission: Mission) -> list[Found]:
-    """Return the propellant left at the nominal touchdown, and that which ends a hold, kg."""
+    """Return propellant left at touchdown, and that which ends a hold, kg."""
     law = mission.vertical_descent
     left = mission.touchdown_mass - mission.lander.dry_mass
     return [] if law is None else one(left, law.hold_propellant)
