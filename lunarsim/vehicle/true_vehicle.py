@@ -115,6 +115,11 @@ class VehicleDeviations:
             if (moments := getattr(nominal, name)) is not None
         }
         x, y, z = self.com_offset
+        if nominal.com_height + z <= 0.0:
+            raise InputError(
+                "truth.vehicle.com_offset_m[2]", z,
+                f"must be above {-nominal.com_height:g} m, the height of the landing pads",
+            )  # fmt: skip
         changes: dict[str, Any] = scaled | {
             "dry_mass": nominal.dry_mass * self.dry_mass_scale,
             "propellant_mass": nominal.propellant_mass * self.propellant_mass_scale,
@@ -140,7 +145,7 @@ class VehicleDeviations:
         except InputError as error:
             raise InputError(
                 "truth.vehicle", error.value,
-                f"must give a possible lander, but for its {error.field} {error.problem}",
+                f"must give a possible lander, whose {error.field} {error.problem}",
                 "Decrease the deviations.",
             ) from None  # fmt: skip
         except (TypeError, ValueError) as error:

@@ -33,7 +33,7 @@ def test_presets_differ_only_in_the_lander(script):
     """World, sensors, navigation, map and decisions are equal; ratios are those of landers."""
     study = script("landers", "presets")
     tables = [study.scenario_of(vehicle, "mare").to_dict() for vehicle in study.VEHICLES]
-    own = {"name", "description", "vehicle", "control", "approach"}
+    own = {"name", "description", "vehicle", "control", "approach", "terminal_descent"}
     assert all(
         {key for key in one | tables[0] if one.get(key) != tables[0].get(key)} <= own
         for one in tables

@@ -185,6 +185,13 @@ def test_a_lander_that_cannot_balance_its_engine_is_refused(small):
         small.changed(truth={"vehicle": {"com_offset_m": [0.9, 0.0, 0.0]}}, **JETS)
 
 
+@pytest.mark.parametrize("nominal", [Lander(com_height=0.5), JetLander(com_height=0.5)])
+def test_a_centre_of_mass_below_the_pads_is_refused(nominal):
+    VehicleDeviations(com_offset=(0.0, 0.0, -0.49)).true_lander(nominal)
+    with pytest.raises(InputError, match=r"^truth\.vehicle\.com_offset_m\[2\]: must be above -0.5"):
+        VehicleDeviations(com_offset=(0.0, 0.0, -0.5)).true_lander(nominal)
+
+
 @dataclass(frozen=True)
 class LanderWithComputedMass(Lander):
     """Lander of a user whose dry mass is not an argument."""

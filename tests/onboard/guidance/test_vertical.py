@@ -177,6 +177,15 @@ def test_the_lander_returns_to_its_site_before_touchdown(lag, offset, drift):
     assert abs(v[0]) < law.tolerated_speed
 
 
+def test_only_within_twice_the_maximum_offset_the_return_slows_the_descent():
+    law = VerticalDescent(gravity=G)
+    near, far = (
+        law.command(estimate([x * law.max_offset, 0.0, 8.0], [0.0, 0.0, -2.0]), GROUND, 0.0)[2]
+        for x in (1.99, 2.01)
+    )
+    assert near > far == G
+
+
 def test_a_steady_tilt_error_beside_the_site_does_not_keep_the_lander_in_the_air():
     """With a tilt error of 2 deg the position loop keeps an offset, at which the lander lands."""
     law = VerticalDescent().for_lag(2.0, G, 1100.0)
