@@ -40,6 +40,7 @@ class VerticalDescentParams(NamedTuple):
     min_speed_fraction: float
     hold_propellant: float
     dry_mass: float
+    exhaust_velocity: float
 
 
 @kernel(exact=True)
@@ -98,54 +99,6 @@ def _planned_deceleration(height, law):
 
 
 @kernel(exact=True)
-def _limit_descent_speed(state, height, offset, is_far, nominal, mass, law):
-    """Return the vertical velocity, m/s, and whether to tilt near the terrain.
-
-    The velocity is `nominal`, the nominal vertical velocity, m/s (negative), if the lander can stop
-    its drift and return from an `offset`, m, within `height`, m, above touchdown. Otherwise it
-    falls to zero at a height where the lander can tilt, which is higher for a faster drift and a
-    larger offset; a lander below that height climbs slowly. The velocity is at least a fraction of
-    `nominal` at a `mass` (kg) with little propellant left, and for an offset that is not far
-    (`is_far`). `state` (2, 3) is position and velocity; `law` is a `VerticalDescentParams`.
-    """
-    excess = max(np.hypot(state[1, 0], state[1, 1]) - law.tolerated_speed, 0.0)
-    stopping = excess / _planned_deceleration(height, law)
-    needed = max(stopping, _return_time(offset, law))
-    if needed == 0.0 or -nominal * needed <= height:
-        return nominal, False
-    may_hold = is_far or (stopping > 0.0 and -nominal * stopping > height)
-    if not may_hold or mass <= law.dry_mass + law.hold_propellant:
-        return min(-height / needed, law.min_speed_fraction * nominal), may_hold
-    beside = offset / law.tolerated_offset - 1.0 if is_far else 0.0
-    held = law.low_height * min(max(excess / law.tolerated_speed, beside), 1.0)
-    return min((held - height) / needed, MAX_CLIMB_SPEED_M_S), True
-
-
-@kernel(exact=True)
-def _return_time(offset, law):
-    """Return the time (s) of a return from an offset (m) to the tolerated one.
-
-    By the position loop, the offset decreases exponentially at the rate
-    ``frequency / (2 damping)``, 1/s. From beyond twice the maximum offset the lander does not
-    return: 0. `law` is a `VerticalDescentParams`.
-    """
-    if not law.tolerated_offset < offset <= 2.0 * law.max_offset:
-        return 0.0
-    return np.log(offset / law.tolerated_offset) * 2.0 * law.damping / law.frequency
-
-
-@kernel(exact=True)
-def _is_far(offset, law):
-    """Return whether the lander holds its height to return from an offset, m.
-
-    It does not hold for an offset that a steady tilt error of up to the maximum tilt at touchdown
-    can cause, because the position loop would not remove it. `law` is a `VerticalDescentParams`.
-    """
-    steady = law.gravity * np.tan(law.max_tilt_at_touchdown) / law.frequency**2
-    return law.tolerated_offset + steady < offset <= 2.0 * law.max_offset
-
-
-@kernel(exact=True)
 def _position_gain(offset, height, planned, law):
     """Return the fraction of the position loop's gain used at an `offset`, m.
 
@@ -161,6 +114,67 @@ def _position_gain(offset, height, planned, law):
 
 
 @kernel(exact=True)
+def _return_time(offset, height, nominal, mass, law):
+    """Return the time (s) of a return from an offset (m) to the tolerated one; 0: no return.
+
+    By the position loop, the offset decreases exponentially at the rate
+    ``frequency / (2 damping)``, 1/s. The lander does not return from beyond twice the maximum
+    offset, nor if the propellant above that for holding is needed to descend from `height`, m, at
+    the nominal speed. The other arguments are those of `_limit_descent_speed`.
+    """
+    left = mass - law.dry_mass - law.hold_propellant
+    descent = mass * law.gravity * max(height, 0.0) / (-nominal * law.exhaust_velocity)
+    if left <= descent or not law.tolerated_offset < offset <= 2.0 * law.max_offset:
+        return 0.0
+    return np.log(offset / law.tolerated_offset) * 2.0 * law.damping / law.frequency
+
+
+@kernel(exact=True)
+def _closing_fraction(closing, offset, height, nominal, law):
+    """Return how fast a lander approaches its site, as a fraction of the position loop's speed.
+
+    `closing` is the speed towards the site, m/s. The result is within 0 to 1; it is 0 if a steady
+    error of the tilt keeps the lander beside its site. The other arguments are those of
+    `_limit_descent_speed`.
+    """
+    speed = law.frequency / (2.0 * law.damping) * offset
+    speed *= _position_gain(offset, height, law.min_speed_fraction * nominal, law)
+    return min(max(closing / speed, 0.0), 1.0)
+
+
+@kernel(exact=True)
+def _limit_descent_speed(state, height, offset, closing, nominal, mass, law):
+    """Return the vertical velocity, m/s, and whether the lander drifts too fast to land.
+
+    The velocity is `nominal`, the nominal vertical velocity, m/s (negative), if the lander can stop
+    its drift and return from an `offset`, m, within `height`, m, above touchdown. Otherwise it
+    falls to zero at a height where the lander can tilt, which is higher for a faster drift and a
+    larger offset. With a fast drift, a lander below that height climbs slowly. For a return, the
+    velocity is at least a fraction of `nominal`, which falls to zero the faster the lander
+    approaches its site, at the speed `closing`, m/s. At a `mass` (kg) with little propellant left,
+    the velocity is at least that fraction. `state` (2, 3) is position and velocity; `law` is a
+    `VerticalDescentParams`.
+    """
+    excess = max(np.hypot(state[1, 0], state[1, 1]) - law.tolerated_speed, 0.0)
+    stopping = excess / _planned_deceleration(height, law)
+    drifts = stopping > 0.0 and -nominal * stopping > height
+    returning = _return_time(offset, height, nominal, mass, law)
+    needed = max(stopping, returning)
+    if not drifts and (returning == 0.0 or -nominal * needed <= height):
+        return nominal, False
+    slowest = law.min_speed_fraction * nominal
+    if mass <= law.dry_mass + law.hold_propellant:
+        return min(-height / stopping, slowest), True
+    beside = offset / law.tolerated_offset - 1.0 if returning > 0.0 else 0.0
+    held = law.low_height * min(max(excess / law.tolerated_speed, beside), 1.0)
+    wanted = min((held - height) / needed, MAX_CLIMB_SPEED_M_S)
+    if not drifts:
+        approach = _closing_fraction(closing, offset, height, nominal, law)
+        wanted = min(wanted, (1.0 - approach) * slowest)
+    return wanted, drifts
+
+
+@kernel(exact=True)
 def vertical_descent_command(state, end, nominal, mass, law, command):
     """Write the thrust acceleration of the vertical descent to `command` (3,), m/s^2.
 
@@ -169,12 +183,14 @@ def vertical_descent_command(state, end, nominal, mass, law, command):
     `law` is a `VerticalDescentParams`.
     """
     height = state[0, 2] - end[2]
-    offset = np.hypot(state[0, 0] - end[0], state[0, 1] - end[1])
-    is_far = _is_far(offset, law)
-    wanted, tilts = _limit_descent_speed(state, height, offset, is_far, nominal, mass, law)
-    tan_tilt = _tan_max_tilt(height, law.low_height if tilts else law.full_tilt_height, law)
+    east, north = end[0] - state[0, 0], end[1] - state[0, 1]
+    offset = np.hypot(east, north)
+    closing = (east * state[1, 0] + north * state[1, 1]) / max(offset, 1e-12)
+    wanted, drifts = _limit_descent_speed(state, height, offset, closing, nominal, mass, law)
+    tan_tilt = _tan_max_tilt(height, law.low_height if drifts else law.full_tilt_height, law)
     up = max(law.gravity + law.speed_gain * (wanted - state[1, 2]), 0.3 * law.gravity)
-    planned = min(wanted, law.min_speed_fraction * nominal) if is_far else nominal
+    returns = _return_time(offset, height, nominal, mass, law) > 0.0
+    planned = min(wanted, law.min_speed_fraction * nominal) if returns else nominal
     gain = law.frequency**2 * _position_gain(offset, height, planned, law)
     for k in range(2):
         toward = gain * (end[k] - state[0, k])

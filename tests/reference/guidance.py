@@ -62,48 +62,60 @@ def max_tilt(height, full_tilt_height):
     return np.deg2rad(np.interp(height, [0.0, full_tilt_height], [2.0, 12.0]))
 
 
-def vertical_descent(r, v, touchdown, planned, gravity, lag, may_hold=True):
+def vertical_descent(
+    r, v, touchdown, planned, gravity, lag, propellant=math.inf, mass=1.0, exhaust=math.inf
+):
     """Return the thrust acceleration (3,) of the vertical descent, m/s^2.
 
     `touchdown` (3,) is the position at touchdown, m, and `planned` the downward speed, m/s. The
-    horizontal loop is a damped oscillator about the touchdown point, which moves towards this point
-    at most so fast that 0.15 m/s are left at touchdown, after the slowed descent, at a quarter of
-    `planned` or more, from farther away than a tilt error of 2 deg can keep the lander. A lander
-    that cannot stop its drift before touchdown (with half of the pull that the tilt limit allows
-    here), or return from 1 to 20 m to 1 m beside the point, descends more slowly. If it has the
-    propellant to hold (`may_hold`), its speed reaches zero 3 m above the terrain with a drift of
-    0.6 m/s or 2 m beside the point and more, proportionally lower with less; below it climbs. It
-    does not hold for an offset that a tilt error of 2 deg keeps.
+    horizontal loop is a damped oscillator about the touchdown point. It moves towards this point at
+    most so fast that 0.15 m/s are left at touchdown, after the actual descent while the lander
+    returns.
+
+    A lander that cannot stop its drift before touchdown (with half of the pull that the tilt limit
+    allows here) descends more slowly, so that its speed reaches zero 3 m above the terrain with a
+    drift of 0.6 m/s and more, proportionally lower with less; below it climbs. With 10 kg of
+    `propellant` (kg, until empty) or less, it descends at a quarter of its speed at least.
+
+    A lander that cannot return from 1 to 20 m to 1 m beside the point descends more slowly too: in
+    proportion to the missing part of the loop's speed, at up to a quarter of its speed. It does not
+    return if it needs its propellant above 10 kg to descend, with its `mass`, kg, and `exhaust`
+    velocity, m/s.
     """
     frequency, damping = 0.6, 1.1
     if lag > 0.0:
         frequency = min(frequency, 0.33 / lag)
+    rate = frequency / (2.0 * damping)
     height, drift = r[2] - touchdown[2], math.hypot(v[0], v[1])
     offset = np.array(r[:2]) - np.array(touchdown[:2])
     distance = math.hypot(*offset)
-    steady = gravity * math.tan(math.radians(2.0)) / frequency**2
-    is_far = 1.0 + steady < distance <= 20.0
-    speed, full_tilt_height = planned, 8.0
     deceleration = 0.5 * gravity * math.tan(max_tilt(height, 8.0))
-    stop = max(drift - 0.3, 0.0) / deceleration
-    back = 2.2 / frequency * math.log(distance) if 1.0 < distance <= 20.0 else 0.0
-    if max(stop, back) > 0.0 and planned * max(stop, back) > height:
-        waits = is_far or (stop > 0.0 and planned * stop > height)
-        full_tilt_height = 3.0 if waits else 8.0
-        if may_hold and waits:
-            hold = min(3.0, max(10.0 * (drift - 0.3), 3.0 * (distance - 1.0) * is_far, 0.0))
-            speed = max((height - hold) / max(stop, back), -0.5)
-        else:
-            speed = max(height / max(stop, back), planned / 4.0)
+
+    def fastest(descent):
+        return 0.15 + deceleration * max(height, 0.0) / descent
+
+    stop, back = max(drift - 0.3, 0.0) / deceleration, 0.0
+    seconds = max(height, 0.0) / planned
+    if 1.0 < distance <= 20.0 and propellant - 10.0 > mass * gravity * seconds / exhaust:
+        back = math.log(distance) / rate
+    slips = stop > 0.0 and planned * stop > height
+    speed = planned
+    if slips and propellant <= 10.0:
+        speed = max(height / stop, planned / 4.0)
+    elif slips or (back > 0.0 and planned * max(stop, back) > height):
+        hold = max(10.0 * (drift - 0.3), 3.0 * (distance - 1.0) if back > 0.0 else 0.0, 0.0)
+        speed = max((height - min(hold, 3.0)) / max(stop, back), -0.5)
+        if not slips:
+            loop = min(rate * distance, fastest(planned / 4.0))
+            closing = -float(offset @ np.array(v[:2])) / distance
+            speed = max(speed, planned / 4.0 * (1.0 - min(max(closing / loop, 0.0), 1.0)))
     up = max(gravity + 1.5 * (-speed - v[2]), 0.3 * gravity)
-    # The speed at which the damped loop approaches the point in the end.
-    wanted = -frequency / (2.0 * damping) * offset
-    descent = max(speed, planned / 4.0) if is_far else planned
-    fastest = 0.15 + deceleration * max(height, 0.0) / descent
-    if np.linalg.norm(wanted) > fastest:
-        wanted *= fastest / np.linalg.norm(wanted)
+    wanted = -rate * offset
+    limit = fastest(max(speed, planned / 4.0) if back > 0.0 else planned)
+    if np.linalg.norm(wanted) > limit:
+        wanted *= limit / np.linalg.norm(wanted)
     side = 2.0 * damping * frequency * (wanted - np.array(v[:2]))
-    limit = up * math.tan(max_tilt(height, full_tilt_height))
+    limit = up * math.tan(max_tilt(height, 3.0 if slips else 8.0))
     share = min(1.0, limit / max(math.hypot(*side), 1e-300))
     return np.array([share * side[0], share * side[1], up])
 

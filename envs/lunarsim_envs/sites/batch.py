@@ -54,7 +54,7 @@ def kernel_guidance(scenario: Scenario, craft: VehicleParams) -> f.GuidanceParam
         np.array([
             max(approach.vertical_altitude, approach.takeover_altitude), approach.end_time_to_go,
         ]),
-        VerticalDescent().for_lag(lag, gravity, lander.dry_mass).params,
+        VerticalDescent().for_lag(lag, gravity, lander.dry_mass, lander.exhaust_velocity).params,
         -approach.vertical_descent_speed,
         np.array([window.last_altitude, window.first_altitude, window.interval]),
         scan_altitudes(scenario), lag, guidance.min_time_to_go, approach.max_tilt,

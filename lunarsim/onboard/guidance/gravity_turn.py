@@ -93,7 +93,10 @@ class GravityTurn:
         `briefing` is the data known before the flight; `lag` is the total response lag of attitude
         control and engine, s.
         """
-        last = VerticalDescent().for_lag(lag, briefing.surface_gravity, briefing.lander.dry_mass)
+        lander = briefing.lander
+        last = VerticalDescent().for_lag(
+            lag, briefing.surface_gravity, lander.dry_mass, lander.exhaust_velocity
+        )
         return GravityTurnLaw(self, briefing.surface_gravity, last)
 
 

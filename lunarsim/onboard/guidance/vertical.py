@@ -97,10 +97,11 @@ class VerticalDescent:
     tolerated_offset
         Tolerated horizontal distance from the site, m.
     min_speed_fraction
-        Minimum descent speed as a fraction of the nominal one, while the lander returns to its
-        site, and once little propellant is left.
+        Minimum descent speed as a fraction of the nominal one, while the lander does not approach
+        its site, and once little propellant is left.
     hold_propellant
-        Propellant below which the lander no longer holds its height, kg.
+        Propellant below which the lander no longer holds its height, kg. A return to the site ends
+        earlier, by the propellant of the descent from its height.
     max_offset
         Horizontal distance from the site at which the lander may stop, m. If it would stop farther
         away, the vertical descent does not begin: the lander hovers and approaches again. A
@@ -111,6 +112,8 @@ class VerticalDescent:
         Limits of rotation of the lander; None: only the lag delays a rotation.
     dry_mass
         Mass of the lander without propellant, kg.
+    exhaust_velocity
+        Exhaust velocity of the engine, m/s.
     """
 
     gravity: float = hidden(1.622)
@@ -162,14 +165,14 @@ class VerticalDescent:
         "m",
         gt=0,
         help="horizontal distance from the site at which the lander may touch down; farther away, "
-        "the lander descends more slowly, or holds its height, until it has returned",
+        "the lander descends more slowly, or holds its height, while it returns",
     )
     min_speed_fraction: float = quantity(
         0.25,
         gt=0,
         le=1,
-        help="minimum descent speed divided by the nominal one, while the lander returns to its "
-        "site, or if the propellant is below hold_propellant_kg",
+        help="minimum descent speed divided by the nominal one, while the lander does not approach "
+        "its site, or if the propellant is below hold_propellant_kg",
     )
     hold_propellant: float = quantity(
         10.0,
@@ -179,6 +182,7 @@ class VerticalDescent:
         "must exceed the error of the estimate",
     )
     dry_mass: float = hidden(0.0)
+    exhaust_velocity: float = hidden(np.inf)
     max_offset: float = quantity(
         10.0,
         "m",
@@ -215,13 +219,21 @@ class VerticalDescent:
         if isinstance(control, SlewLimitedControl):
             turn = float(rotation.time(self.max_tilt, lander.dry_mass))
             lag += max(control.turning_time(self.max_tilt), 0.5 * turn)
-        law = self.for_lag(lag, briefing.surface_gravity, lander.dry_mass)
+        law = self.for_lag(lag, briefing.surface_gravity, lander.dry_mass, lander.exhaust_velocity)
         return replace(law, rotation=rotation)
 
-    def for_lag(self, lag: float, gravity: float, dry_mass: float) -> VerticalDescent:
-        """Return the law for a total lag (s), gravity (m/s^2) and dry mass (kg)."""
+    def for_lag(
+        self, lag: float, gravity: float, dry_mass: float, exhaust_velocity: float = np.inf
+    ) -> VerticalDescent:
+        """Return the law for a total lag (s), gravity (m/s^2) and a lander.
+
+        The lander has a dry mass (kg) and an exhaust velocity (m/s).
+        """
         frequency = min(self.frequency, _MAX_FREQUENCY_LAG / max(lag, 1e-6))
-        return replace(self, frequency=frequency, gravity=gravity, dry_mass=dry_mass, lag=lag)
+        return replace(
+            self, frequency=frequency, gravity=gravity, dry_mass=dry_mass, lag=lag,
+            exhaust_velocity=exhaust_velocity,
+        )  # fmt: skip
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2.
