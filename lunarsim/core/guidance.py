@@ -115,7 +115,7 @@ def _position_gain(offset, height, planned, law):
 
 @kernel(exact=True)
 def _return_time(offset, height, nominal, mass, law):
-    """Return the time (s) of a return from an offset (m) to the tolerated one; 0: no return.
+    """Return the time (s) of a return to the tolerated offset; 0: no return.
 
     By the position loop, the offset decreases exponentially at the rate
     ``frequency / (2 damping)``, 1/s. The lander does not return from beyond twice the maximum
@@ -131,7 +131,7 @@ def _return_time(offset, height, nominal, mass, law):
 
 @kernel(exact=True)
 def _closing_fraction(closing, offset, height, nominal, law):
-    """Return how fast a lander approaches its site, as a fraction of the position loop's speed.
+    """Return the fraction of the position loop's speed reached by a lander.
 
     `closing` is the speed towards the site, m/s. The result is within 0 to 1; it is 0 if a steady
     error of the tilt keeps the lander beside its site. The other arguments are those of
@@ -144,7 +144,7 @@ def _closing_fraction(closing, offset, height, nominal, law):
 
 @kernel(exact=True)
 def _limit_descent_speed(state, height, offset, closing, nominal, mass, law):
-    """Return the vertical velocity, m/s, and whether the lander drifts too fast to land.
+    """Return the vertical velocity, m/s, and whether the drift is too fast to land.
 
     The velocity is `nominal`, the nominal vertical velocity, m/s (negative), if the lander can stop
     its drift and return from an `offset`, m, within `height`, m, above touchdown. Otherwise it
