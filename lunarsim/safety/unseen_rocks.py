@@ -38,8 +38,8 @@ _ROCK_HEIGHT_RATIO = 0.8
 _FRACTION_OF_MAX = 0.25
 # Effective mean of H^2 / h^2 - 1 for the heights H of the rocks above h.
 _SPREAD = 1.0 / 3.0
-# Area at the top of a rock above a height h, over h^2, for rocks slightly wider than necessary.
-_TOP = 1.5 * np.pi
+# Area of a rock higher than h that shows it, over the base area of a rock of height h.
+_SHOWN_AREA = 1.5
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,8 @@ class ExceedanceCurve:
     gravel, min_counted_gravel_height
         Fraction (n,) that also uses counts at low heights, and the minimum height of these, m;
         None: `share` applies to all heights.
+    rock_height_ratio
+        Expected height of the rocks over their diameter.
     """
 
     height: Array
@@ -64,6 +66,7 @@ class ExceedanceCurve:
     min_counted_height: float = 0.0
     gravel: Array | None = None
     min_counted_gravel_height: float = 0.0
+    rock_height_ratio: float = 0.5
 
     @cached_property
     def with_gravel(self) -> ExceedanceCurve:
@@ -73,7 +76,11 @@ class ExceedanceCurve:
         is at least the rock distribution that the mission expects: few high rocks do not imply few
         low rocks. Without `gravel`, it is this curve itself.
         """
-        return self if self.gravel is None else ExceedanceCurve(self.height, self.gravel)
+        if self.gravel is None:
+            return self
+        return ExceedanceCurve(
+            self.height, self.gravel, rock_height_ratio=self.rock_height_ratio
+        )
 
     def at(self, height: ArrayLike) -> Array:
         """Return the fraction of terrain above heights (...), m.
@@ -97,7 +104,7 @@ class ExceedanceCurve:
             Samples per square metre, broadcast against `height`.
         """
         h = np.clip(np.asarray(height, dtype=np.float64), self.height[0], self.height[-1])
-        top = _TOP * h * h
+        top = _SHOWN_AREA * 0.25 * np.pi * (h / self.rock_height_ratio) ** 2
         return self.at(h) / top * np.exp(-np.asarray(density, dtype=np.float64) * top)
 
     def missed_rocks(self, height: ArrayLike, density: ArrayLike) -> Array:
@@ -190,8 +197,9 @@ def height_curve(
     lower = np.where(height < min_counted, np.maximum(lower, 1.0), lower)
     share = _non_increasing(law * times)
     return ExceedanceCurve(
-        height, share, counted, _non_increasing(np.maximum(law * lower, share)), min_counted
-    )
+        height, share, counted, _non_increasing(np.maximum(law * lower, share)), min_counted,
+        height_ratio,
+    )  # fmt: skip
 
 
 def _non_increasing(share: Array) -> Array:

@@ -7,15 +7,21 @@ import numpy as np
 
 from lunarsim._jit import kernel
 
+# Standard deviations by which a sample must exceed the mean of its cell to raise its peak.
+PEAK_SIGMAS = 2.0
+
 
 @kernel()
-def add_points(points, base, sigma, spacing, raster, centroid, splat, call_weight, min_spacing):
+def add_points(
+    points, base, sigma, spacing, raster, centroid, splat, call_weight, min_spacing, peak
+):
     """Add points (n, 3) to the sums of a `SamplePool`; return how many hit the grid.
 
     `base` is the reference height, m; `sigma` (n,) and `spacing` (n,) are standard deviation and
     spacing of each sample, m. `raster` is (x0, y0, cell size), m, with the centre (x0, y0) of cell
     (0, 0). `centroid` and the last three entries of `splat` (rows, cols, 4), the sums of the pool,
-    and `min_spacing` (rows, cols), its minimum spacings, are updated. The bilinear weights of the
+    `min_spacing` (rows, cols), its minimum spacings, and `peak` (rows, cols), its maximum heights
+    minus `PEAK_SIGMAS` standard deviations, are updated. The bilinear weights of the
     given points are added to `call_weight` (rows, cols). Points off the grid are skipped.
     """
     x0, y0, p = raster
@@ -37,6 +43,7 @@ def add_points(points, base, sigma, spacing, raster, centroid, splat, call_weigh
             centroid[i, j, 2] += precision * (v - i) * p
             centroid[i, j, 3] += precision * z
             min_spacing[i, j] = min(min_spacing[i, j], spacing[n])
+            peak[i, j] = max(peak[i, j], z - PEAK_SIGMAS * sigma[n])
         j = int(np.floor(u))
         i = int(np.floor(v))
         for b in range(2):

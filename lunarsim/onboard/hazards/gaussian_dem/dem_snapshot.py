@@ -107,9 +107,11 @@ def dem_site_evidence(
     """
     s = dem.sampling
     beam = beam_ratio * s.spacing
+    unknown = np.float32(np.nan)
     observed_mean = sharpened_elevation(
-        np.where(dem.observed, dem.mean, np.float32(np.nan)), dem.grid.posting, beam
+        np.where(dem.observed, dem.mean, unknown), dem.grid.posting, beam
     )
+    surface = np.maximum(observed_mean, dem.peak)
     curve_args = (
         unaveraged_height(s.residual_heights, beam, rocks.height_ratio[0]),
         s.noise,
@@ -121,9 +123,9 @@ def dem_site_evidence(
     loss = variogram_ratio(max(s.spacing, dem.grid.posting), beam) ** 2
     variance = dem.variance / np.float32(loss)
     return MapEvidence(
-        stochastic_safety(observed_mean, variance, dem.grid, lander),
-        plane_stochastic_safety(observed_mean, variance, dem.grid, lander),
-        bounded_safety(observed_mean, dem.grid, lander),
+        stochastic_safety(surface, variance, dem.grid, lander),
+        plane_stochastic_safety(surface, variance, dem.grid, lander),
+        bounded_safety(surface, dem.grid, lander),
         lander,
         height_curve(*curve_args),
         depth_curve(*curve_args),

@@ -14,6 +14,7 @@ from lunarsim.onboard.hazards.gaussian_dem import _sample_kernels as sk
 from lunarsim.onboard.hazards.gaussian_dem.gaussian import (
     MIN_MEASURED_WEIGHT,
     NO_PIXELS,
+    FloatMap,
     GaussianDem,
     triangle_edges,
 )
@@ -49,8 +50,8 @@ class SamplingStatistics:
     Attributes
     ----------
     density
-        Samples per square metre around each cell (rows, cols); repeated samples of a cell count
-        once.
+        Samples per square metre around each cell (rows, cols), of the densest scan; one per cell
+        where scans are sparser than the map.
     spacing
         Median distance of neighbouring samples within their scans, m.
     noise
@@ -76,9 +77,13 @@ class PooledDem(GaussianDem):
     ----------
     sampling
         Density, noise and residual heights of the samples.
+    peak
+        Maximum height of the samples of each cell, minus two standard deviations, or `mean` if this
+        is larger (rows, cols), m; NaN where unknown.
     """
 
     sampling: SamplingStatistics
+    peak: FloatMap
 
 
 def pooled_dem(pool: SamplePool) -> PooledDem:
@@ -139,6 +144,7 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
         variance,
         observed,
         _sampling_statistics(pool, vertices, noise, spacing, squares, planes),
+        np.maximum(mean, (pool.peak + (pool.base or 0.0)).astype(np.float32)),
     )
 
 
@@ -162,13 +168,16 @@ def _sampling_statistics(
     middle = float(np.median(spacing))
     # Average over about four samples each way.
     window = max(5, round(4.0 * middle / pool.grid.posting))
-    taken = ndimage.uniform_filter(np.isfinite(pool.spacing).astype(np.float64), window)
+    # Zero in cells without samples, whose spacing is infinite.
+    density = np.where(
+        np.isfinite(pool.spacing), np.minimum(pool.spacing, pool.grid.posting).astype(float), np.inf
+    ) ** -2.0
     residual_heights = vertices[:, 2] - squares.plane_heights(planes, vertices)
     residual_raster = np.full(pool.grid.shape, np.nan, np.float32)
     # Vertices are in the order of their cells.
     residual_raster[np.nonzero(pool.centroid[..., 0])] = residual_heights
     return SamplingStatistics(
-        np.maximum(taken, 0.0) / pool.grid.posting**2,
+        np.maximum(ndimage.uniform_filter(density, window), 0.0),
         middle,
         float(np.sqrt(np.median(noise))),
         residual_heights,

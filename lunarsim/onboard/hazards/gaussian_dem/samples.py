@@ -58,6 +58,9 @@ class SamplePool:
     spacing
         Minimum distance of neighbouring samples within their scans (rows, cols), m; inf without
         samples.
+    peak
+        Maximum over the samples in each cell of their height above `base` minus two standard
+        deviations (rows, cols), m; -inf without samples.
     """
 
     def __init__(self, grid: Grid) -> None:
@@ -66,11 +69,12 @@ class SamplePool:
         self.centroid = np.zeros((*grid.shape, 4))
         self.splat = np.zeros((*grid.shape, 4))
         self.spacing = np.full(grid.shape, np.inf, np.float32)
+        self.peak = np.full(grid.shape, -np.inf)
 
     @property
     def nbytes(self) -> int:
         """Memory used by the sums, bytes."""
-        return self.centroid.nbytes + self.splat.nbytes + self.spacing.nbytes
+        return sum(a.nbytes for a in (self.centroid, self.splat, self.spacing, self.peak))
 
     def add(self, points: ArrayLike, sigma: ArrayLike, spacing: ArrayLike) -> int:
         """Add the samples of one scan and return how many fell on the grid.
@@ -105,7 +109,7 @@ class SamplePool:
         call_weight = np.zeros(g.shape)
         count = k.add_points(
             cloud, base, np.maximum(noise, _MIN_SIGMA_M), gaps, (g.x0, g.y0, g.posting),
-            self.centroid, self.splat, call_weight, self.spacing,
+            self.centroid, self.splat, call_weight, self.spacing, self.peak,
         )  # fmt: skip
         np.maximum(self.splat[..., 0], call_weight, out=self.splat[..., 0])
         # A cloud outside the grid leaves the pool empty.
@@ -132,7 +136,8 @@ class SamplePool:
         """Return the same samples and grid shifted by (3,), m; arrays are not copied."""
         out = SamplePool(self.grid.moved(by))
         out.base = None if self.base is None else self.base + float(by[2])
-        out.centroid, out.splat, out.spacing = self.centroid, self.splat, self.spacing
+        out.centroid, out.splat = self.centroid, self.splat
+        out.spacing, out.peak = self.spacing, self.peak
         return out
 
     def about(self, centre: ArrayLike) -> SamplePool:
@@ -158,7 +163,7 @@ class SamplePool:
         by = np.rint((np.asarray(grid.centre) - g.centre) / g.posting)
         rows, from_rows = _overlap(g.rows, int(by[1]))
         cols, from_cols = _overlap(g.cols, int(by[0]))
-        for name in ("centroid", "splat", "spacing"):
+        for name in ("centroid", "splat", "spacing", "peak"):
             getattr(out, name)[rows, cols] = getattr(self, name)[from_rows, from_cols]
         out.base = self.base if out.splat[..., 1].any() else None
         return out
@@ -200,6 +205,8 @@ class SamplePool:
         moved = weight[:, None] * np.column_stack((np.ones(len(weight)), away))
         np.add.at(out.centroid, at, moved)
         np.minimum.at(out.spacing, at, spacing[keep].astype(np.float32))
+        raised = (self.peak[rows, cols] + new[:, 2] - points[:, 2])[keep]
+        np.maximum.at(out.peak, at, raised)
         rows, cols = np.nonzero(self.splat[..., 1])
         splat = self.splat[rows, cols]
         above = out.base + splat[:, 2] / splat[:, 1]
@@ -225,6 +232,7 @@ class SamplePool:
         out.splat[..., 2] += base_offset * other.splat[..., 1]
         out.splat[..., 0] = np.maximum(self.splat[..., 0], other.splat[..., 0])
         out.spacing = np.minimum(self.spacing, other.spacing)
+        out.peak = np.maximum(self.peak, other.peak + base_offset)
         return out
 
     def vertices(self) -> tuple[Array, Array, Array]:
