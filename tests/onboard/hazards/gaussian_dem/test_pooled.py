@@ -48,6 +48,84 @@ def test_sums_are_those_of_a_plain_loop(seed, level):
     assert (dem.variance[measured] >= about[measured][:, 1] * (1.0 - 1e-5)).all()
 
 
+def peaks(scans) -> np.ndarray:
+    """Maximum of height minus two standard deviations over the samples of each cell."""
+    out = np.full(GRID.shape, -np.inf)
+    for points, sigma in scans:
+        for (x, y, z), s in zip(points, sigma, strict=True):
+            if np.isfinite(z) and GRID.contains((x, y)):
+                i, j = GRID.cell((x, y))
+                out[i, j] = max(out[i, j], z - 2.0 * s)
+    return out
+
+
+@pytest.mark.parametrize("level", [0.0, -700.0])
+def test_the_peak_of_a_cell_is_the_highest_sample_that_exceeds_its_noise(level):
+    pool, scans = SamplePool(GRID), []
+    for n in range(3):
+        points, sigma = samples(7 * n)
+        points[:, 2] += level
+        scans.append((points, sigma))
+        pool.add(points, sigma, 0.5)
+    dem, found = pooled_dem(pool), peaks(scans)
+    known = np.isfinite(dem.mean)
+    np.testing.assert_allclose(
+        dem.peak[known], np.maximum(dem.mean, found)[known], atol=1e-4 + 1e-7 * abs(level)
+    )
+    assert np.isnan(dem.peak[~known]).all()
+    assert (dem.peak > dem.mean + 0.1)[known].mean() > 0.3
+
+
+def test_peaks_move_with_the_samples_of_a_pool():
+    points, sigma = samples(1)
+    points = points[np.isfinite(points[:, 2])]
+    sigma = sigma[: len(points)]
+    pool = SamplePool(GRID)
+    pool.add(points, sigma, 0.5)
+    whole = pool.peak + pool.base
+    raised = pool.shifted(np.array([0.5, 0.0, 2.0]))
+    np.testing.assert_allclose(raised.peak + raised.base, whole + 2.0)
+    moved = pool.on_shifted_grid(GRID.moved((GRID.posting, 0.0)))
+    np.testing.assert_array_equal(moved.peak[:, :-1], pool.peak[:, 1:])
+    first, second = SamplePool(GRID), SamplePool(GRID)
+    first.add(points[:40], sigma[:40], 0.5)
+    second.add(points[40:] + [0.0, 0.0, 30.0], sigma[40:], 0.5)
+    both = first.union(second)
+    wanted = peaks([(points[:40], sigma[:40]), (points[40:] + [0.0, 0.0, 30.0], sigma[40:])])
+    np.testing.assert_allclose(both.peak + both.base, wanted)
+
+
+def test_peaks_turn_with_their_samples():
+    """One sample per cell, near its centre: the rotated pool is the pool of rotated samples."""
+    rng = np.random.default_rng(3)
+    points = np.column_stack(
+        (GRID.centres().reshape(-1, 2), rng.normal(0.0, 0.3, GRID.rows * GRID.cols))
+    )
+    points = points[(np.abs(points[:, :2]) < 2.2).all(axis=1)]
+    tilt = np.deg2rad(2.0)
+    turn = np.array([
+        [np.cos(tilt), 0.0, np.sin(tilt)], [0.0, 1.0, 0.0], [-np.sin(tilt), 0.0, np.cos(tilt)],
+    ])  # fmt: skip
+    pool, wanted = SamplePool(GRID), SamplePool(GRID)
+    pool.add(points, 0.05, 0.5)
+    wanted.add(points @ turn.T, 0.05, 0.5)
+    turned = pool.rotated(turn, np.zeros(3))
+    np.testing.assert_allclose(turned.peak + turned.base, wanted.peak + wanted.base, atol=1e-9)
+
+
+def test_a_rock_narrower_than_a_cell_raises_the_peak_and_not_the_mean():
+    grid = Grid.centred((0.0, 0.0), 4.0, 0.2)
+    x, y = np.meshgrid(np.arange(-2.0, 2.0, 0.05), np.arange(-2.0, 2.0, 0.05))
+    z = np.where(np.hypot(x, y) < 0.08, 0.3, 0.0)
+    pool = SamplePool(grid)
+    pool.add(np.column_stack((x.ravel(), y.ravel(), z.ravel())), 0.005, 0.05)
+    dem = pooled_dem(pool)
+    assert dem.peak.max() == pytest.approx(0.29)
+    assert dem.mean.max() < 0.2
+    # The density is that of the scan, not of the cells.
+    assert np.median(dem.sampling.density) == pytest.approx(400.0)
+
+
 def rough(seed: int, slope_deg: float = 5.0) -> Terrain:
     grid = Grid.centred((0.0, 0.0), 60.0, 0.25)
     rng = np.random.default_rng(seed)
