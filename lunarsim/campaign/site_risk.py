@@ -17,8 +17,8 @@ def site_risk_thresholds(
 ) -> dict[str, RiskThreshold]:
     """Return the threshold of p_safe of each arm of a campaign, by name.
 
-    Thresholds are those of `risk_threshold`.     A flight uses its last site unless it aborts or the site has no p_safe. Flights without an
-    outcome count as failures at every threshold.
+    Thresholds are those of `risk_threshold`. A flight uses its last site unless it aborts or the
+    site has no p_safe. Flights without an outcome count as failures at every threshold.
 
     Parameters
     ----------
