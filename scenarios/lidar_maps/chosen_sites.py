@@ -1,9 +1,9 @@
 """Measure how often the best site of a map is safe, and bound the risk over worlds.
 
-Scenes of the calibration matrix (`worlds.py`), other than those of the fit. In each, a map of the Gaussian DEM of
-one scan; its site with the highest p_safe is chosen. The threshold of p_safe that bounds the risk
-of chosen sites is found on all scenes except those with one relief, rock law, lander or range, and
-tested on these.
+Scenes of the calibration matrix (`worlds.py`), other than those of the fit. In each, a map of the
+Gaussian DEM of one scan; its site with the highest p_safe is chosen. The threshold of p_safe that
+bounds the risk of chosen sites is found on all scenes except those with one relief, rock law,
+lander or range, and tested on these.
 
 python scenarios/lidar_maps/chosen_sites.py --scenes 480
 """
@@ -11,6 +11,7 @@ python scenarios/lidar_maps/chosen_sites.py --scenes 480
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -64,7 +65,7 @@ def print_chosen(report: Report) -> None:
         "p_safe", "Chosen sites", "Mean p_safe", "Safe", "Random sites", "Mean p_safe", "Safe",
     ):  # fmt: skip
         table.add_column(heading, justify="right")
-    for low, high in zip(BINS[:-1], BINS[1:], strict=True):
+    for low, high in pairwise(BINS):
         mine = (p >= low) & (p < high)
         theirs = others[(others[:, 0] >= low) & (others[:, 0] < high)]
         table.add_row(
