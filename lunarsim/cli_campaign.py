@@ -26,7 +26,7 @@ from lunarsim.cli_common import (
     scenario_options,
     wide_console,
 )
-from lunarsim.cli_requirements import verify
+from lunarsim.cli_requirements import threshold, verify
 from lunarsim.cli_start import INTERRUPTED
 from lunarsim.errors import InputError, check_folder, check_output
 
@@ -65,6 +65,7 @@ def campaign() -> None:
 
 
 campaign.add_command(verify)
+campaign.add_command(threshold)
 
 
 @campaign.command()

@@ -1,4 +1,4 @@
-"""Define the command `lunarsim campaign verify`."""
+"""Define the commands `lunarsim campaign verify` and `campaign threshold`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from lunarsim.cli_common import PATH, wide_console
+from lunarsim.cli_common import PATH, FloatRange, wide_console
 from lunarsim.errors import check_output
 
 
@@ -68,3 +68,58 @@ def _print(rows: list[dict[str, Any]]) -> None:
             "> 10000000" if row["missing_flights"] is None else str(row["missing_flights"]),
         )  # fmt: skip
     wide_console(170).print(table)
+
+
+_LEVEL = FloatRange(0.0, 1.0, min_open=True, max_open=True)
+
+
+@click.command()
+@click.argument("folder", type=PATH)
+@click.option(
+    "--max-risk",
+    type=_LEVEL,
+    default=0.05,
+    show_default=True,
+    help="Maximum probability that a flight uses its site and fails.",
+)
+@click.option(
+    "--confidence",
+    type=_LEVEL,
+    default=0.95,
+    show_default=True,
+    help="Confidence of the bound, over the draw of the flights.",
+)
+@click.option(
+    "--metric", default="safe", show_default=True,
+    help="Result column with the values true (success) and false.",
+)  # fmt: skip
+def threshold(folder: Path, max_risk: float, confidence: float, metric: str) -> None:
+    """Find the p_safe above which landings have a bounded risk.
+
+    FOLDER has the results of a campaign whose flights are independent draws of the world. A flight
+    uses its last site if the site's p_safe in the map reaches the threshold. The risk is the
+    probability that a flight uses its site and fails; a flight that does not use its site, or
+    aborts, is no failure. The bound includes the selection of the site. It holds for new flights of
+    the same campaign, not for other terrains or landers. The exit code is 1 if an arm has no
+    threshold.
+    """
+    from rich.table import Table
+
+    from lunarsim.campaign.results import load_results
+    from lunarsim.campaign.site_risk import site_risk_thresholds
+
+    table = Table(
+        "Arm", "Flights", "Threshold of p_safe", "Used", "Failed of these", "Risk, upper bound",
+        "Flights needed\nwithout failure",
+    )  # fmt: skip
+    found = site_risk_thresholds(load_results(folder), metric, max_risk, confidence)
+    for arm, r in found.items():
+        exists = r.used > 0
+        table.add_row(
+            arm, str(r.worlds), f"{r.threshold:.4f}" if exists else "none",
+            str(r.used), str(r.failed), f"{r.upper_bound:.4f}" if exists else "-",
+            str(r.needed_worlds),
+        )  # fmt: skip
+    wide_console(120).print(table)
+    if not all(r.used for r in found.values()):
+        sys.exit(1)

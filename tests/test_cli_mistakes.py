@@ -187,6 +187,10 @@ OWN = {
         (["folder", GOOD], ["is an unknown table", "[[requirements]]"]),
         (["folder", "gone.toml", "--out", "x.txt"], ["--out: ", "got 'x.txt'", ".json"]),
     ],
+    "campaign threshold": [
+        (["gone"], ["gone", "manifest.json"]),
+        (["folder", "--max-risk", "1"], ["--max-risk", "1"]),
+    ],
     "campaign diff": [
         (["gone", "folder"], ["gone", "manifest.json"]),
         (["gone", "folder", "--margin", "2"], ["--margin", "2"]),

@@ -34,6 +34,7 @@ from lunarsim.onboard.hazards.map_tilt_correction import MapTiltCorrection
 from lunarsim.onboard.hazards.mapper import HazardMapper, build_mappers, sensor_names
 from lunarsim.onboard.mass_estimator import MassEstimator
 from lunarsim.onboard.navigation.estimate import Estimate, ThrustAware
+from lunarsim.onboard.navigation.landing_accuracy import allows_landing
 from lunarsim.onboard.navigation.measurement_sequencer import MeasurementSequencer
 from lunarsim.onboard.phases import Phase, PhaseSequence
 from lunarsim.onboard.policies.contract import (
@@ -131,6 +132,7 @@ class OnboardComputer:
         self._corrected_target: Array = briefing.target.copy()
         self._next_decision = 0.0
         self._has_decided = False
+        self._is_inaccurate = False
         self._recorded_navigation_events = 0
         self._arrivals = MeasurementSequencer.of(briefing, self._record)
         self._divert_inhibit = DivertInhibit()
@@ -190,11 +192,19 @@ class OnboardComputer:
         return None if self.mapper is None else self.mapper.hazard_map()
 
     @property
+    def navigation_lost(self) -> bool:
+        """Whether measurements contradict navigation, or it is too inaccurate to land.
+
+        The accuracy is tested once the altitude for decisions has ended.
+        """
+        return self.estimate.lost or self._is_inaccurate
+
+    @property
     def diverts_inhibited(self) -> bool:
         """Whether diverts are inhibited, whatever the policy decides.
 
-        Diverts are inhibited while navigation is lost, and permanently after a scan was mapped with
-        lost navigation.
+        Diverts are inhibited while measurements contradict the estimate, and permanently after a
+        scan was mapped with such an estimate.
         """
         return self._divert_inhibit.inhibited
 
@@ -274,6 +284,7 @@ class OnboardComputer:
         self.site_evaluator.record_update(self.updated_mappers, self.time)
         self._report_overdue_samples()
         self.estimate = self.navigation.estimate(self.time, self.mass)
+        self._test_accuracy()
         for mapper in self.mappers.values():
             mapper.refresh(self.time)
         if self._divert_inhibit.update(self.estimate.lost, bool(self.updated_mappers)):
@@ -283,6 +294,17 @@ class OnboardComputer:
         if not self._has_decided and elapsed == 0.0 and self.phases.chooses_time:
             # The plan was made for the planned start; replan from the actual position.
             self._replan()
+
+    def _test_accuracy(self) -> None:
+        """Test whether navigation is accurate enough to land, near the end of the flight."""
+        is_near = self.phase in (Phase.VERTICAL, Phase.HOVER) or (
+            self.phase == Phase.APPROACH and self.altitude < self.decisions.last_altitude
+        )
+        is_inaccurate = is_near and not allows_landing(self.estimate, self.lander)
+        if is_inaccurate != self._is_inaccurate:
+            self._is_inaccurate = is_inaccurate
+            name = "navigation-inaccurate" if is_inaccurate else "navigation-accurate"
+            self._record(self.time, name, {"altitude": self.altitude})
 
     def _update_actuators(self, time: float, elapsed: float) -> None:
         """Update mass and failed thrusters, and give navigation the commanded thrust.

@@ -76,9 +76,11 @@ class SunChanges(TypedDict, total=False):
     scattered_light: bool
 
 class TruthTable(PartSettings):
+    initial_error_scale: float
     vehicle: Any
 
 class TruthChanges(TypedDict, total=False):
+    initial_error_scale: float
     vehicle: Any
 
 class StartTable(PartSettings):

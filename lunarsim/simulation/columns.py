@@ -194,8 +194,9 @@ TRAJECTORY = Table(
             lambda c: c.computer.phase,
         ),
         ColumnGroup(
-            ("lost",), "1", "1 while navigation reports that it is lost", "",
-            lambda c: c.computer.estimate.lost,
+            ("lost",), "1",
+            "1 while navigation is contradicted by measurements, or too inaccurate to land", "",
+            lambda c: c.computer.navigation_lost,
         ),
     ),
 )  # fmt: skip

@@ -169,13 +169,13 @@ def trimmed_start_state(state: State, briefing: Briefing) -> State:
 
 
 def perturbed_start_estimate(
-    state: State, knowledge: InitialUncertainty, rng: np.random.Generator
+    state: State, knowledge: InitialUncertainty, rng: np.random.Generator, scale: float = 1.0
 ) -> InitialStateEstimate:
     """Return the initial navigation estimate: the true start with random errors.
 
-    `knowledge` has the standard deviations of the errors.
+    `knowledge` has the stated standard deviations; the true ones are `scale` times as large.
     """
-    drawn = rng.standard_normal((3, 3))
+    drawn = scale * rng.standard_normal((3, 3))
     turn = quat_from_rotation_vector(knowledge.attitude * drawn[2])
     return InitialStateEstimate(
         state.position + knowledge.position * drawn[0],
@@ -247,7 +247,8 @@ def plan(scenario: Scenario, world: World, streams: RandomStreams) -> tuple[Stat
         else scenario.initial_uncertainty.make()
     )
     rng = streams.get("navigation")
-    start_estimate = perturbed_start_estimate(state, knowledge, rng)
+    scale = scenario.truth.make().initial_error_scale
+    start_estimate = perturbed_start_estimate(state, knowledge, rng, scale)
     # The elevation of the terrain at the target is known only with an error.
     known_target = target + np.array([0.0, 0.0, knowledge.target_elevation * rng.standard_normal()])
     return state, replace(upright, start=start_estimate, target=known_target)

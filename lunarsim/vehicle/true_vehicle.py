@@ -164,8 +164,17 @@ class Truth:
     ----------
     vehicle
         Deviations of the true lander.
+    initial_error_scale
+        True errors of the initial estimate divided by their stated size.
     """
 
     vehicle: VehicleDeviations = quantity(
         VehicleDeviations(), help="deviations of the true lander from [vehicle]"
+    )
+    initial_error_scale: float = quantity(
+        1.0,
+        ge=0,
+        le=100,
+        help="true errors of the initial estimate of position, velocity and attitude divided by "
+        "errors as stated in [initial_uncertainty]",
     )

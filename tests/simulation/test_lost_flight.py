@@ -175,3 +175,18 @@ def test_the_results_table_says_so(small_scenario, lost):
     while simulation.time < 6.0:
         simulation.step()
     assert evaluate(simulation.flight(), simulation.truth)["navigation_lost"] is lost
+
+
+def test_an_estimate_too_inaccurate_to_land_counts_as_lost():
+    """The lander starts so far off that its LiDAR misses the field: only inertial navigation."""
+    morpheus = Scenario.load(SCENARIOS / "morpheus.toml").changed(
+        truth={"initial_error_scale": 3.0}
+    )
+    flight = Simulation(morpheus, 1, "no-divert").run()
+    last = {name: flight.trajectory[name][-1] for name in flight.trajectory}
+    error = last["estimated_velocity_y"] - last["velocity_y"]
+    assert abs(error) > 3.0
+    assert flight.lost and "navigation-inaccurate" in names(flight)
+    assert "diverts-inhibited" not in names(flight)  # no measurement contradicts the estimate
+    began = next(e for e in flight.events if e["name"] == "navigation-inaccurate")
+    assert began["altitude"] < morpheus.decisions.last_altitude_m + 1.0

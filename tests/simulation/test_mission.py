@@ -34,11 +34,14 @@ def test_the_plan_does_not_know_the_true_start(small_scenario):
     assert len({b.time_to_go for b in told}) == 1
 
 
-def test_errors_of_the_start_are_those_stated():
+@pytest.mark.parametrize("scale", [1.0, 3.0])
+def test_errors_of_the_start_are_those_stated_times_their_scale(scale):
     scenario = Scenario.from_dict(SMALL_SHADOW_FLIGHT).changed(
-        initial_uncertainty={"position_m": 4.0, "velocity_m_s": 0.3, "attitude_deg": 1.0}
+        initial_uncertainty={"position_m": 4.0, "velocity_m_s": 0.3, "attitude_deg": 1.0},
+        truth={"initial_error_scale": scale},
     )
     made, told = briefings(scenario, range(40))
+    assert {b.start.position_sigma for b in told} == {4.0}
     errors = np.array(
         [
             [
@@ -48,11 +51,13 @@ def test_errors_of_the_start_are_those_stated():
             for s, b in zip(made, told, strict=True)
         ]
     )
-    assert np.std(errors) == pytest.approx(1.0, abs=0.15)
+    assert np.std(errors) == pytest.approx(scale, rel=0.15)
     turns = [
         quat_angle(b.start.attitude, s.state.attitude) for s, b in zip(made, told, strict=True)
     ]
-    assert np.sqrt(np.mean(np.square(turns))) == pytest.approx(np.deg2rad(np.sqrt(3)), rel=0.2)
+    assert np.sqrt(np.mean(np.square(turns))) == pytest.approx(
+        scale * np.deg2rad(np.sqrt(3)), rel=0.2
+    )
 
 
 def test_a_world_of_another_gravity_is_refused(small_scenario):

@@ -65,15 +65,16 @@ def lookup_elevation(surface: TerrainSurface, xy: ArrayLike) -> float:
 
 @dataclass(frozen=True)
 class HazardMap:
-    """Probability of a safe landing in each cell, from the measurements so far.
+    """Probability that the terrain of each cell is safe, from the measurements so far.
 
     Attributes
     ----------
     grid
         Positions of the cells, estimated ENU frame.
     p_safe
-        Probability that a lander centred on the cell lands safely (rows, cols), in [0, 1]; 0 where
-        not observed.
+        Probability, given the measurements and the mission's expected rocks, that a touchdown
+        centred on the cell violates none of the lander's limits of slope, roughness and belly
+        clearance at any heading (rows, cols), in [0, 1]; 0 where not observed.
     observed
         True where the complete footprint of a lander centred on the cell has been observed (rows,
         cols).
@@ -89,8 +90,8 @@ class HazardMap:
         [0, 1]. None: 1 everywhere.
     in_domain
         True where `p_safe` is a calibrated frequency, because the terrain resembles that of the
-        calibration (rows, cols). Elsewhere `p_safe` is a conservative bound. None: the mapper does
-        not state it.
+        calibration (rows, cols). Elsewhere `p_safe` is heuristic and only ranks sites. None: the
+        mapper does not state it.
 
     Raises
     ------
