@@ -47,14 +47,52 @@ def measured(script, changes, number=0):
     return script.measure(Case({"values": values}, number, 1))
 
 
-def test_narrow_rocks_are_a_failure_and_nominal_rocks_are_none(small):
-    bad, good = measured(small, NARROW_ROCKS), measured(small, {"scan.range_m": 122.0})
-    assert good["score"] > 0.95 and good["claimed"] > 100
+def without_peaks(script, monkeypatch):
+    """Let the map use the mean of each cell, as before its highest sample counted."""
+    whole = script.pooled_dem
+
+    def flat(pool):
+        dem = whole(pool)
+        return replace(dem, peak=dem.mean)
+
+    monkeypatch.setattr(script, "pooled_dem", flat)
+
+
+def test_rocks_narrower_than_a_cell_are_found_by_its_highest_sample(small, monkeypatch):
+    good, narrow = (measured(small, c) for c in ({"scan.range_m": 122.0}, NARROW_ROCKS))
+    for row in (good, narrow):
+        assert row["claimed"] > 50 and row["precision"] > 0.95
+    without_peaks(small, monkeypatch)
+    bad = measured(small, NARROW_ROCKS)
     assert bad["score"] == bad["precision"] < 0.8
     assert bad["precision"] == pytest.approx(1.0 - bad["unsafe"] / bad["claimed"])
     # Another draw has other rocks; the same draw repeats itself.
     again, other = (measured(small, NARROW_ROCKS, number) for number in (0, 1))
     assert again["unsafe"] == bad["unsafe"] and other["unsafe"] != bad["unsafe"]
+
+
+def test_narrow_rocks_that_the_mission_does_not_expect_are_rarely_claimed_safe(script):
+    """Irregular rocks; the mission expects hemispheres. 250 m: hardly one sample per rock."""
+    base = {
+        "terrain": {"kind": "fractal", "size_m": 100.0, "posting_m": 0.125},
+        "sensors": script.BASE["sensors"], "tasking": script.BASE["tasking"],
+        "mappers": script.BASE["mappers"],
+    }  # fmt: skip
+    narrow = Scenario.from_dict(base).changed(
+        terrain={"rms_slope_deg": 0.8},
+        rocks={"shape": "irregular", "height_ratio": [0.75, 0.1], "cover": 0.022,
+               "min_diameter_m": 0.19, "max_diameter_m": 0.33},
+        vehicle={"leg_radius_m": 3.7, "roughness_limit_m": 0.16},
+    )  # fmt: skip
+    wide = Scenario.from_dict(base).changed(
+        terrain={"rms_slope_deg": 1.0}, rocks={"shape": "irregular", "cover": 0.03},
+        vehicle={"leg_radius_m": 3.6, "roughness_limit_m": 0.2},
+    )  # fmt: skip
+    for scenario, distance, least in ((narrow, 122.0, 0.95), (wide, 250.0, 0.93)):
+        rows = [script.map_precision(scenario, distance, 0.0, 3, n) for n in range(4)]
+        claimed, unsafe = (sum(row[name] for row in rows) for name in ("claimed", "unsafe"))
+        assert claimed > 300
+        assert unsafe / claimed < 1.0 - least
 
 
 def test_a_world_with_few_claims_has_a_score_above_one(small, monkeypatch):

@@ -78,8 +78,7 @@ class PooledDem(GaussianDem):
     sampling
         Density, noise and residual heights of the samples.
     peak
-        Maximum height of the samples of each cell, minus two standard deviations, or `mean` if this
-        is larger (rows, cols), m; NaN where unknown.
+        Estimate of the highest terrain in each cell (rows, cols), m; NaN where unknown.
     """
 
     sampling: SamplingStatistics
@@ -144,8 +143,20 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
         variance,
         observed,
         _sampling_statistics(pool, vertices, noise, spacing, squares, planes),
-        np.maximum(mean, (pool.peak + (pool.base or 0.0)).astype(np.float32)),
+        _highest_terrain(pool, mean),
     )
+
+
+def _highest_terrain(pool: SamplePool, mean: FloatMap) -> FloatMap:
+    """Estimate the highest terrain in each cell of a pool (rows, cols), m.
+
+    The mean of a cell hides a rock that is narrower than the cell, and its highest sample lies
+    below the top. On a cone, samples half a cell apart leave as much above the highest one as this
+    exceeds the `mean` (rows, cols), m. Hence the estimate exceeds the mean by twice as much as the
+    highest sample, minus two standard deviations, does.
+    """
+    highest = np.maximum(mean, (pool.peak + (pool.base or 0.0)).astype(np.float32))
+    return np.asarray(2.0 * highest - mean, dtype=np.float32)
 
 
 def _sampling_statistics(
