@@ -135,7 +135,8 @@ def _draw_map(figure: Any, panel: Any, flight: Flight, line_length: int) -> None
         shown = np.where(flight.hazard_map.observed, flight.hazard_map.p_safe, np.nan)
         grid = flight.hazard_map.grid.moved(-flight.map_error)
         image = show(panel, shown, grid, cmap="viridis", vmin=0.0, vmax=1.0)
-        _add_colour_bar(figure, image, panel, "p_safe: slope, roughness and belly in limits at any heading")
+        label = "p_safe: slope, roughness and belly in limits at any heading"
+        _add_colour_bar(figure, image, panel, label)
         _hatch_outside_domain(panel, flight.hazard_map, grid)
         sites = flight.candidates[:, :2] - flight.map_error[:2]
         panel.plot(*sites.T, **_CANDIDATE)
