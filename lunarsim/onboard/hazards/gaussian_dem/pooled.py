@@ -143,19 +143,21 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
         variance,
         observed,
         _sampling_statistics(pool, vertices, noise, spacing, squares, planes),
-        _highest_terrain(pool, mean),
+        _highest_terrain(pool, mean, squares.at(planes[..., 1:], grid.centres().reshape(-1, 2))),
     )
 
 
-def _highest_terrain(pool: SamplePool, mean: FloatMap) -> FloatMap:
+def _highest_terrain(pool: SamplePool, mean: FloatMap, gradient: Array) -> FloatMap:
     """Estimate the highest terrain in each cell of a pool (rows, cols), m.
 
     The mean of a cell hides a rock that is narrower than the cell, and its highest sample lies
     below the top. On a cone, samples half a cell apart leave as much above the highest one as this
     exceeds the `mean` (rows, cols), m. Hence the estimate exceeds the mean by twice as much as the
-    highest sample, minus two standard deviations, does.
+    highest sample does, minus two standard deviations and minus what the slope of the terrain
+    explains. `gradient` (rows cols, 2) is the slope at the cells.
     """
-    highest = np.maximum(mean, (pool.peak + (pool.base or 0.0)).astype(np.float32))
+    slope = 0.5 * pool.grid.posting * np.abs(gradient).sum(axis=1).reshape(mean.shape)
+    highest = np.maximum(mean, (pool.peak + (pool.base or 0.0) - slope).astype(np.float32))
     return np.asarray(2.0 * highest - mean, dtype=np.float32)
 
 
