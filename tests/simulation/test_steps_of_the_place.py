@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from lunarsim.onboard.phases import Phase
 from lunarsim.rng import flight_seed
