@@ -20,11 +20,10 @@ from rich.table import Table
 from worlds import LANDERS, UPRIGHT, sample_matrix
 
 from lunarsim import site_safety
-from lunarsim.evaluation.risk_control import risk_threshold
 from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import DemSnapshot
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.studies import Case, Report, Study, run_script
+from lunarsim.studies import Case, Report, Study, risk_threshold, run_script
 
 # The calibration was fitted to scenes of seed 5.
 MAX_RISK, CONFIDENCE = 0.05, 0.95

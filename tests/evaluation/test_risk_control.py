@@ -27,7 +27,7 @@ def true_risk(threshold):
 
 
 def test_the_risk_is_bounded_in_the_stated_fraction_of_draws():
-    rng, draws, exceeded, thresholds = np.random.default_rng(1), 2000, 0, []
+    rng, draws, exceeded, thresholds = np.random.default_rng(1), 500, 0, []
     for _ in range(draws):
         found = risk_threshold(*draw(rng, 150), max_risk=0.08, confidence=0.9)
         exceeded += true_risk(found.threshold) > 0.08
