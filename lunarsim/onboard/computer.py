@@ -195,7 +195,8 @@ class OnboardComputer:
     def navigation_lost(self) -> bool:
         """Whether measurements contradict navigation, or it is too inaccurate to land.
 
-        The accuracy is tested once the altitude for decisions has ended.
+        The accuracy is tested below the altitudes for decisions, in the vertical descent and in the
+        hover.
         """
         return self.estimate.lost or self._is_inaccurate
 

@@ -19,7 +19,7 @@ def draw(rng, n):
 
 
 def true_risk(threshold):
-    """Probability that p is at least the threshold and the site fails, for `draw`."""
+    """Probability that p reaches the threshold and the site fails, for `draw`."""
     if threshold > 1.0:
         return 0.0
     # p is uniform on 0.5 to 1 with density 2; the failure probability is 2 (1 - p).

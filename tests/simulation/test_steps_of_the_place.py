@@ -38,7 +38,7 @@ def flown(phase: Phase, left: float) -> tuple[float, float, float]:
     """Fly; let the estimated position jump by 2 m to the north.
 
     It jumps with the time `left` of the approach, s, or at the height `left` in the vertical
-    descent, m. Return the greatest speed north until the end of this phase, m/s, and horizontal
+    descent, m. Return the maximum speed north until the end of this phase, m/s, and horizontal
     speed, m/s, and offset from the estimated site, m, at touchdown.
     """
     simulation = Simulation(Scenario.from_dict(PLAIN), flight_seed(1, 0), None)
