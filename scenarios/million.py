@@ -18,8 +18,8 @@ import numba
 
 from lunarsim import InputError, Scenario
 from lunarsim.console import plain_console, plain_progress
-from lunarsim.evaluation.statistics import Proportion
 from lunarsim.scenario.shipped import found
+from lunarsim.studies import Proportion
 from lunarsim_envs.retarget import default_scenario
 from lunarsim_envs.sites.sparse_batch import FlightSummary, batches
 

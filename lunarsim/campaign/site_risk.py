@@ -32,9 +32,15 @@ def site_risk_thresholds(
     Raises
     ------
     InputError
-        If weights are unequal, the metric is not a boolean column, or an arm has no flights.
+        If weights are unequal, the campaign stops early, the metric is not a boolean column, or an
+        arm has no flights.
     """
     results.check_equal_weights("folder")
+    if "stop" in results.manifest["identity"]:
+        raise InputError(
+            "folder", str(results.folder), "must be a campaign without [stop]",
+            "The bound needs a number of flights that does not depend on their outcomes.",
+        )  # fmt: skip
     columns = results.manifest["columns"]
     for name, wanted in ((metric, "bool"), ("p_safe", "float"), ("aborted", "bool")):
         if columns.get(name) != wanted:

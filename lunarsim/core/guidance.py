@@ -150,10 +150,10 @@ def _limit_descent_speed(state, height, offset, closing, nominal, mass, law):
     its drift and return from an `offset`, m, within `height`, m, above touchdown. Otherwise it
     falls to zero at a height where the lander can tilt, which is higher for a faster drift and a
     larger offset. With a fast drift, a lander below that height climbs slowly. For a return, the
-    velocity is at least a fraction of `nominal`, which falls to zero the faster the lander
-    approaches its site, at the speed `closing`, m/s. At a `mass` (kg) with little propellant left,
-    the velocity is at least that fraction. `state` (2, 3) is position and velocity; `law` is a
-    `VerticalDescentParams`.
+    lander descends at a fraction of `nominal` or faster; the fraction falls to zero as the speed
+    towards the site, `closing`, m/s, rises to that of the position loop. At a `mass` (kg) with
+    little propellant left, it descends at this fraction or faster even if it drifts. `state` (2, 3)
+    is position and velocity; `law` is a `VerticalDescentParams`.
     """
     excess = max(np.hypot(state[1, 0], state[1, 1]) - law.tolerated_speed, 0.0)
     stopping = excess / _planned_deceleration(height, law)

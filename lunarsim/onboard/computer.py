@@ -195,7 +195,8 @@ class OnboardComputer:
     def navigation_lost(self) -> bool:
         """Whether measurements contradict navigation, or it is too inaccurate to land.
 
-        The accuracy is tested once the altitude for decisions has ended.
+        The accuracy is tested below the altitudes for decisions, in the vertical descent and in the
+        hover.
         """
         return self.estimate.lost or self._is_inaccurate
 
@@ -533,14 +534,12 @@ class OnboardComputer:
     def _position_limited_estimate(self) -> Estimate:
         """Return the estimate for guidance, in which steps of the position are limited.
 
-        The position steps when a navigation update corrects it. Steps are limited during approach
-        and terminal descent.
+        The position steps when a navigation update corrects it. Steps are limited during the
+        approach; the vertical descent limits its speed towards the site itself.
         """
-        if not self.navigation.has_position_steps or self.phase == Phase.ABORT:
+        if not self.navigation.has_position_steps or self.phase != Phase.APPROACH:
             return self.estimate
-        return self._position_limiter.limit(
-            self.estimate, self.time_to_go if self.phase == Phase.APPROACH else 0.0
-        )
+        return self._position_limiter.limit(self.estimate, self.time_to_go)
 
     def _tasks(self) -> tuple[SensorTask, ...]:
         """Return the measurement tasks of the steerable sensors for the end of the cycle."""

@@ -1,5 +1,7 @@
 """Studies: measure cases, keep their results, and report them."""
 
+from lunarsim.evaluation.risk_control import risk_threshold
+from lunarsim.evaluation.statistics import Proportion
 from lunarsim.studies.command import report_study, run_script, run_study
 from lunarsim.studies.report import Metric, Report, metric_table
 from lunarsim.studies.results import pack_array, unpack_array
@@ -8,11 +10,13 @@ from lunarsim.studies.study import Case, Study
 __all__ = [
     "Case",
     "Metric",
+    "Proportion",
     "Report",
     "Study",
     "metric_table",
     "pack_array",
     "report_study",
+    "risk_threshold",
     "run_script",
     "run_study",
     "unpack_array",

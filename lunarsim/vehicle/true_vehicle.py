@@ -175,6 +175,6 @@ class Truth:
         1.0,
         ge=0,
         le=100,
-        help="true errors of the initial estimate of position, velocity and attitude divided by "
-        "errors as stated in [initial_uncertainty]",
+        help="true errors of the initial estimate of position, velocity and attitude, divided by "
+        "those that [initial_uncertainty] states",
     )

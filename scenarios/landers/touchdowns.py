@@ -23,10 +23,9 @@ from rich.table import Table
 
 from lunarsim import RandomStreams, Terrain, flight_seed
 from lunarsim.api import Lander, State, quat_rotate
-from lunarsim.evaluation.statistics import Proportion
 from lunarsim.frames import attitude_from_thrust, quat_from_rotation_vector, quat_multiply
 from lunarsim.rocks.population import RockPopulation
-from lunarsim.studies import Case, Report, Study, run_script
+from lunarsim.studies import Case, Proportion, Report, Study, run_script
 from lunarsim.vehicle import Dynamics, evaluate_touchdown, pad_contacts
 from lunarsim.vehicle.legs import Legs, evaluate_motion
 from lunarsim.world.terrain_models.fractal import FractalTerrain

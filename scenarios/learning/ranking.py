@@ -23,8 +23,8 @@ from flights import AgentFlights, fly_agent
 import lunarsim_envs
 from lunarsim import InputError, Scenario
 from lunarsim.evaluation.comparisons import Difference, mean_difference, share_difference
-from lunarsim.evaluation.statistics import Proportion
 from lunarsim.scenario.shipped import found
+from lunarsim.studies import Proportion
 from lunarsim_envs.agents.registry import check, label
 
 AGENTS = ("random", "no-divert", "safest", "nearest-safe", "fuel-aware", "few-sites")

@@ -22,8 +22,8 @@ from flights import fly_agent
 import lunarsim_envs
 from lunarsim import InputError, Scenario
 from lunarsim.evaluation.comparisons import mean_difference, share_difference
-from lunarsim.evaluation.statistics import Proportion
 from lunarsim.scenario.shipped import found
+from lunarsim.studies import Proportion
 from lunarsim_envs.agents.registry import label
 from lunarsim_envs.sites.perception import PERCEPTIONS, create_batch
 from lunarsim_envs.training.sites import CemSettings, train

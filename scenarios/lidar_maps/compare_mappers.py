@@ -28,8 +28,7 @@ from scipy.stats import binomtest
 
 from lunarsim.evaluation.map_quality import MapQuality
 from lunarsim.evaluation.reliability import calibration_error
-from lunarsim.evaluation.statistics import Proportion
-from lunarsim.studies import Case, Report, Study, run_script
+from lunarsim.studies import Case, Proportion, Report, Study, run_script
 from lunarsim.viz.style import COLOURS, new_figure, save
 
 RESAMPLES = 1000

@@ -36,11 +36,10 @@ from scipy.stats import binomtest
 
 from lunarsim import Scenario, Simulation, flight_seed
 from lunarsim.evaluation.consistency import Consistency, normalised_squared_error
-from lunarsim.evaluation.statistics import Proportion
 from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.onboard.navigation.unscented import UnscentedFilter
 from lunarsim.scenario.changes import with_changes
-from lunarsim.studies import Case, Report, Study, run_script
+from lunarsim.studies import Case, Proportion, Report, Study, run_script
 
 
 def fly_variants(case: Case) -> list[Row]:

@@ -26,8 +26,7 @@ from rich.table import Table
 from scipy.stats import binomtest
 
 from lunarsim import Scenario, Simulation, flight_seed
-from lunarsim.evaluation.statistics import Proportion
-from lunarsim.studies import Case, Report, Study, run_script
+from lunarsim.studies import Case, Proportion, Report, Study, run_script
 
 SCENARIO_NAMES = ("apollo15", "golombek", "highland", "hirise", "mare")
 WAYS = ("fixes", "inertial")

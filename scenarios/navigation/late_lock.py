@@ -23,9 +23,8 @@ from rich.table import Table
 from scipy.stats import binomtest
 
 from lunarsim import Scenario, Simulation, flight_seed
-from lunarsim.evaluation.statistics import Proportion
 from lunarsim.onboard.navigation.navigator import Navigator
-from lunarsim.studies import Case, Report, Study, run_script
+from lunarsim.studies import Case, Proportion, Report, Study, run_script
 
 SCENARIOS = Path(__file__).resolve().parents[1]
 

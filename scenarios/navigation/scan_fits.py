@@ -21,13 +21,12 @@ from rich.table import Table
 
 from lunarsim import Grid
 from lunarsim.api import State, gimbal_mount
-from lunarsim.evaluation.statistics import Proportion
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.onboard.navigation.corrected_scan import MIN_SCANNER_SIGMAS, CorrectedScan
 from lunarsim.onboard.navigation.map_features import MODEL_SIGMA_M, MapFeatures
 from lunarsim.onboard.navigation.registration import is_good_fit, register_scan
 from lunarsim.sensors.lidar import FlashLidar
-from lunarsim.studies import Case, Report, Study, run_script
+from lunarsim.studies import Case, Proportion, Report, Study, run_script
 from lunarsim.world.survey import simulate_survey
 
 GROUNDS = {"objects": make_hazard_field, "craters": make_craters}

@@ -17,7 +17,7 @@ import click
 from rich.table import Table
 
 from lunarsim.console import plain_console
-from lunarsim.evaluation.statistics import Proportion
+from lunarsim.studies import Proportion
 
 Row = dict[str, Any]
 

@@ -22,10 +22,10 @@ from scipy.spatial.distance import cdist
 
 from lunarsim.api import State
 from lunarsim.console import plain_console
-from lunarsim.evaluation.statistics import Proportion
 from lunarsim.onboard.perception.detector import Detections, detect_rocks
 from lunarsim.onboard.perception.shadow_direction import mean_direction, shadow_directions
 from lunarsim.sensors.camera import Camera
+from lunarsim.studies import Proportion
 from lunarsim.viz.style import COLOURS, new_figure, save
 
 DATA = Path(__file__).parents[1] / "data"

@@ -72,6 +72,13 @@ def test_repeated_worlds_of_a_design_count_once_and_weights_are_refused():
         )
 
 
+def test_a_number_of_flights_that_depends_on_outcomes_is_refused():
+    found = campaign(np.full(120, 0.9), np.ones(120, bool))
+    found.manifest["identity"]["stop"] = {"metric": "safe", "width": 0.1}
+    with pytest.raises(InputError, match="without \\[stop\\]"):
+        site_risk_thresholds(found)
+
+
 def test_an_unknown_metric_is_refused_with_a_suggestion():
     with pytest.raises(InputError, match="Did you mean 'safe'"):
         site_risk_thresholds(campaign(np.ones(3), np.ones(3, bool)), "saef")

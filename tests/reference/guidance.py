@@ -75,7 +75,7 @@ def vertical_descent(
     A lander that cannot stop its drift before touchdown (with half of the pull that the tilt limit
     allows here) descends more slowly, so that its speed reaches zero 3 m above the terrain with a
     drift of 0.6 m/s and more, proportionally lower with less; below it climbs. With 10 kg of
-    `propellant` (kg, until empty) or less, it descends at a quarter of its speed at least.
+    `propellant` (kg, until empty) or less, it descends at a quarter of its speed or faster.
 
     A lander that cannot return from 1 to 20 m to 1 m beside the point descends more slowly too: in
     proportion to the missing part of the loop's speed, at up to a quarter of its speed. It does not

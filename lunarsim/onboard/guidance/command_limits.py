@@ -66,7 +66,7 @@ class PositionCorrectionLimiter:
     time-to-go T responds to a step d with an acceleration of 6 d / T^2: 1.5 m/s^2 for 1 m and 2 s.
     This exceeds the tilt limit, and the correction is incomplete at the end of the path. The
     position for guidance is therefore propagated with the velocity, and corrections are applied at
-    a limited rate that grows with time-to-go. The part not applied by touchdown remains as a miss.
+    a limited rate that grows with time-to-go. The vertical descent applies the rest.
 
     Attributes
     ----------

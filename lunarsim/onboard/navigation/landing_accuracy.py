@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from lunarsim.models.lander import Lander
@@ -18,9 +20,10 @@ def allows_landing(estimate: Estimate, lander: Lander) -> bool:
     direction, must be within the limits of `lander` at touchdown. The position is not tested: an
     error that lander and map share is harmless, and `LandingDispersion` includes the rest.
     """
-    velocity = estimate.covariance[3:6, 3:6]
-    horizontal = np.linalg.eigvalsh(velocity[:2, :2])[-1]
+    (east, north, up), mixed = np.diag(estimate.covariance)[3:6].tolist(), estimate.covariance[3, 4]
+    # Larger eigenvalue; infinite variances give NaN, which is within no limit.
+    horizontal = 0.5 * (east + north) + math.hypot(0.5 * (east - north), float(mixed))
     return bool(
         _SIGMAS**2 * horizontal <= lander.horizontal_speed_limit**2
-        and _SIGMAS**2 * velocity[2, 2] <= lander.vertical_speed_limit**2
+        and _SIGMAS**2 * up <= lander.vertical_speed_limit**2
     )

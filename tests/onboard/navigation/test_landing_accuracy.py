@@ -27,6 +27,7 @@ def estimate(velocity_covariance) -> Estimate:
         ((0.51, 0.0, 0.0), False),
         ((0.0, 0.51, 0.0), False),
         ((0.0, 0.0, 1.01), False),
+        ((np.inf, np.inf, np.inf), False),
     ],
 )
 def test_three_sigma_of_the_velocity_are_within_the_limits_at_touchdown(sigmas, allowed):
