@@ -7,8 +7,9 @@ import numpy as np
 
 from lunarsim._jit import kernel
 
-# Standard deviations by which a sample must exceed the mean of its cell to raise its peak.
-PEAK_SIGMAS = 2.0
+# Standard deviations by which the peak of a cell is below its highest sample: the noise of the
+# thousand samples under a lander rarely exceeds it.
+PEAK_SIGMAS = 4.0
 
 
 @kernel()

@@ -18,6 +18,7 @@ from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import bounded_safety, plane_stochastic_safety, stochastic_safety
 from lunarsim.safety.beam_averaging import (
+    peak_ratio,
     sharpened_elevation,
     unaveraged_height,
     variogram_ratio,
@@ -111,7 +112,9 @@ def dem_site_evidence(
     observed_mean = sharpened_elevation(
         np.where(dem.observed, dem.mean, unknown), dem.grid.posting, beam
     )
-    surface = np.maximum(observed_mean, dem.peak)
+    # What a cell hides is at most as wide as the cell. Squared: few beams hit its centre.
+    hidden = (dem.peak - dem.mean) / np.float32(peak_ratio(0.5 * dem.grid.posting, beam) ** 2)
+    surface = np.maximum(observed_mean, dem.mean + hidden)
     curve_args = (
         unaveraged_height(s.residual_heights, beam, rocks.height_ratio[0]),
         s.noise,
