@@ -38,6 +38,8 @@ _ROCK_HEIGHT_RATIO = 0.8
 _FRACTION_OF_MAX = 0.25
 # Effective mean of H^2 / h^2 - 1 for the heights H of the rocks above h.
 _SPREAD = 1.0 / 3.0
+# Area of rocks above a height h over the base of a rock of height h: most are a little wider.
+_TOP_RATIO = 1.5
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ class ExceedanceCurve:
 
         The number is the fraction of terrain above the height, divided by the area `top` of a
         rock's top, times the probability ``exp(-density * top)`` that random samples miss a rock.
-        The top is as large as the base of a rock of this height, with the expected height ratio.
+        The top is 1.5 times the base of a rock of this height, with the expected height ratio.
 
         Parameters
         ----------
@@ -103,7 +105,7 @@ class ExceedanceCurve:
             Samples per square metre, broadcast against `height`.
         """
         h = np.clip(np.asarray(height, dtype=np.float64), self.height[0], self.height[-1])
-        top = 0.25 * np.pi * (h / self.rock_height_ratio) ** 2
+        top = _TOP_RATIO * 0.25 * np.pi * (h / self.rock_height_ratio) ** 2
         return self.at(h) / top * np.exp(-np.asarray(density, dtype=np.float64) * top)
 
     def missed_rocks(self, height: ArrayLike, density: ArrayLike) -> Array:
