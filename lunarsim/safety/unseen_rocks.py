@@ -93,9 +93,9 @@ class ExceedanceCurve:
     def unseen_rocks(self, height: ArrayLike, density: ArrayLike) -> Array:
         """Return the number of unseen rocks above a height, per square metre (...).
 
-        The number is the fraction of terrain above the height, divided by the area of a rock's top,
-        times the probability ``exp(-density * base)`` that random samples miss a rock. The base is
-        that of a rock of this height with the expected height ratio, the top 1.5 times as large.
+        The number is the fraction of terrain above the height, divided by the area `top` of a
+        rock's top, times the probability ``exp(-density * top)`` that random samples miss a rock.
+        The top is 1.5 times the base of a rock of this height, with the expected height ratio.
 
         Parameters
         ----------
@@ -105,9 +105,8 @@ class ExceedanceCurve:
             Samples per square metre, broadcast against `height`.
         """
         h = np.clip(np.asarray(height, dtype=np.float64), self.height[0], self.height[-1])
-        base = 0.25 * np.pi * (h / self.rock_height_ratio) ** 2
-        missed = np.exp(-np.asarray(density, dtype=np.float64) * base)
-        return np.asarray(self.at(h) / (_TOP_RATIO * base) * missed)
+        top = _TOP_RATIO * 0.25 * np.pi * (h / self.rock_height_ratio) ** 2
+        return self.at(h) / top * np.exp(-np.asarray(density, dtype=np.float64) * top)
 
     def missed_rocks(self, height: ArrayLike, density: ArrayLike) -> Array:
         """Return an upper estimate of rocks above a height that samples miss, per m^2.

@@ -337,13 +337,13 @@ def test_where_rocks_too_low_to_be_counted_tilt_the_lander_no_site_is_surely_saf
 
 @pytest.mark.parametrize("ratio", [0.5, 0.8])
 def test_unseen_rocks_are_those_that_random_samples_miss(ratio):
-    """Against throwing samples at the bases of rocks of this height."""
+    """Against throwing samples at discs 1.5 times as large as the base of a rock of this height."""
     curve = ExceedanceCurve(np.array([0.1, 0.4]), np.array([0.02, 0.02]), rock_height_ratio=ratio)
     rng = np.random.default_rng(3)
     height, density = 0.3, 2.0
-    base = np.pi * (0.5 * height / ratio) ** 2
-    count = rng.poisson(density * base, 200_000)
-    expected = 0.02 / (1.5 * base) * np.mean(count == 0)
+    top = 1.5 * np.pi * (0.5 * height / ratio) ** 2
+    count = rng.poisson(density * top, 200_000)
+    expected = 0.02 / top * np.mean(count == 0)
     assert curve.unseen_rocks(height, density) == pytest.approx(expected, rel=0.02)
     assert curve.unseen_rocks(height, 2.0 * density) < curve.unseen_rocks(height, density)
 

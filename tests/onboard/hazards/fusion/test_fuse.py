@@ -93,7 +93,7 @@ def test_what_a_calibration_of_its_own_claims_stays_where_the_other_sensor_saw_n
         CalibrationDomain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0)),
         lander_safety_params(LANDER), GAUSSIAN_DEM.packaged.digest,
     )  # fmt: skip
-    judged = evidence(slope=0.9, rough=0.9, density=5.0)
+    judged = evidence(slope=0.7, rough=0.5, density=5.0)
     p, known = calibrated_safety(judged, refit=refit)
     assert known.all()
     assert ((p > ALMOST_CERTAINLY_UNSAFE_P) & (p < ALMOST_CERTAINLY_SAFE_P)).any()
