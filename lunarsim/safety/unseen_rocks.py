@@ -78,9 +78,7 @@ class ExceedanceCurve:
         """
         if self.gravel is None:
             return self
-        return ExceedanceCurve(
-            self.height, self.gravel, rock_height_ratio=self.rock_height_ratio
-        )
+        return ExceedanceCurve(self.height, self.gravel, rock_height_ratio=self.rock_height_ratio)
 
     def at(self, height: ArrayLike) -> Array:
         """Return the fraction of terrain above heights (...), m.

@@ -72,7 +72,11 @@ def test_rocks_narrower_than_a_cell_are_found_by_its_highest_sample(small, monke
 
 
 def test_narrow_rocks_that_the_mission_does_not_expect_are_rarely_claimed_safe(script):
-    """Irregular rocks; the mission expects hemispheres. 250 m: hardly one sample per rock."""
+    """Irregular rocks; the mission expects hemispheres.
+
+    From 250 m, a cell has about one sample, so that its highest sample does not help. There the
+    precision stays below 0.95, which the explanation says.
+    """
     base = {
         "terrain": {"kind": "fractal", "size_m": 100.0, "posting_m": 0.125},
         "sensors": script.BASE["sensors"], "tasking": script.BASE["tasking"],
@@ -88,7 +92,7 @@ def test_narrow_rocks_that_the_mission_does_not_expect_are_rarely_claimed_safe(s
         terrain={"rms_slope_deg": 1.0}, rocks={"shape": "irregular", "cover": 0.03},
         vehicle={"leg_radius_m": 3.6, "roughness_limit_m": 0.2},
     )  # fmt: skip
-    for scenario, distance, least in ((narrow, 122.0, 0.95), (wide, 250.0, 0.93)):
+    for scenario, distance, least in ((narrow, 122.0, 0.98), (wide, 250.0, 0.9)):
         rows = [script.map_precision(scenario, distance, 0.0, 3, n) for n in range(4)]
         claimed, unsafe = (sum(row[name] for row in rows) for name in ("claimed", "unsafe"))
         assert claimed > 300

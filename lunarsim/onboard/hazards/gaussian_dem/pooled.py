@@ -150,8 +150,8 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
 def _highest_terrain(pool: SamplePool, mean: FloatMap, gradient: Array) -> FloatMap:
     """Estimate the highest terrain in each cell of a pool (rows, cols), m.
 
-    The mean of a cell hides a rock that is narrower than the cell, and the highest sample lies below
-    its top. The estimate exceeds the highest sample by as much as this exceeds the `mean` (rows,
+    The mean of a cell hides a rock that is narrower than the cell, and the highest sample lies
+    below its top. The estimate exceeds the highest sample by as much as this exceeds the `mean` (rows,
     cols), m, of the cell and of its eight neighbours: on a cone, samples half a cell apart leave
     this much above the highest one. The heights of the samples are first reduced by `PEAK_SIGMAS`
     standard deviations and by what the slope of the terrain explains. `gradient` (rows cols, 2) is
@@ -184,9 +184,14 @@ def _sampling_statistics(
     # Average over about four samples each way.
     window = max(5, round(4.0 * middle / pool.grid.posting))
     # Zero in cells without samples, whose spacing is infinite.
-    density = np.where(
-        np.isfinite(pool.spacing), np.minimum(pool.spacing, pool.grid.posting).astype(float), np.inf
-    ) ** -2.0
+    density = (
+        np.where(
+            np.isfinite(pool.spacing),
+            np.minimum(pool.spacing, pool.grid.posting).astype(float),
+            np.inf,
+        )
+        ** -2.0
+    )
     residual_heights = vertices[:, 2] - squares.plane_heights(planes, vertices)
     residual_raster = np.full(pool.grid.shape, np.nan, np.float32)
     # Vertices are in the order of their cells.

@@ -93,7 +93,7 @@ def test_what_a_calibration_of_its_own_claims_stays_where_the_other_sensor_saw_n
         CalibrationDomain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0)),
         lander_safety_params(LANDER), GAUSSIAN_DEM.packaged.digest,
     )  # fmt: skip
-    judged = evidence(slope=0.7, rough=0.5, density=5.0)
+    judged = evidence(slope=0.9, rough=0.9, density=5.0)
     p, known = calibrated_safety(judged, refit=refit)
     assert known.all()
     assert ((p > ALMOST_CERTAINLY_UNSAFE_P) & (p < ALMOST_CERTAINLY_SAFE_P)).any()
@@ -130,7 +130,7 @@ def test_a_map_without_evidence_is_only_multiplied():
 
 
 def test_lit_terrain_makes_sites_safer_and_dark_terrain_less_safe():
-    own = relief(rough=0.1, density=5.0, curve=rocky(2.0))
+    own = relief(rough=0.1, density=5.0, curve=rocky(16.0))
     p = [
         fuse_evidence(own, eyes(r), TERMS).p_safe[4, 4]
         for r in (20.0, 1.0, 0.3, COMMON_MISS_PROBABILITY, 0.0)
@@ -230,7 +230,7 @@ def test_terrain_that_is_level_and_clear_is_no_less_safe_than_that(slope, rough,
 
 
 def test_where_nothing_is_thinned_out_the_elevations_count_as_they_are_bit_for_bit():
-    own = relief(rough=0.2, density=3.0, curve=rocky(0.5))
+    own = relief(rough=0.2, density=3.0, curve=rocky(8.0))
     left = np.arange(SIDE) == 0
     ratio = np.where(left, np.float32(0.01), np.float32(1.0)) * np.ones((2, *GRID.shape))
     rocks = eyes(ratio)

@@ -135,7 +135,7 @@ def test_a_rock_narrower_than_a_cell_raises_the_peak_and_not_the_mean(slope):
         assert np.median(dem.sampling.density) == pytest.approx(400.0)
     mean, peak = found[0.08]
     assert mean.max() < 0.2
-    # Four standard deviations below the highest sample, and as much above it as this is above the mean.
+    # Four standard deviations below the highest sample, plus its excess over the mean.
     assert peak.max() == pytest.approx(2.0 * 0.28 - mean.max(), abs=0.1 * slope + 1e-6)
     # The neighbouring cells show a wide rock.
     assert found[0.3][1].max() == pytest.approx(0.3, abs=0.03)
