@@ -71,6 +71,24 @@ def test_a_position_that_jumps_near_the_end_of_the_approach_is_followed_slowly(m
     assert followed > 1.5 * steady
 
 
+def test_a_position_that_jumps_early_is_followed_at_once():
+    """The limit applies below 12 s. At its minimum rate, the speed would stay below 0.35 m/s."""
+    followed, _, _ = flown(Phase.APPROACH, 14.0)
+    assert followed > 0.4
+
+
+def test_positions_of_an_external_navigation_system_are_not_limited(monkeypatch):
+    plain = {**PLAIN, "sensors": {"fix": {"kind": "navigation-fix"}}, "control": {"kind": "ideal"}}
+    simulation = Simulation(Scenario.from_dict(plain), flight_seed(1, 0), None)
+    limit = "lunarsim.onboard.guidance.command_limits.PositionCorrectionLimiter.limit"
+    calls: list[float] = []
+    monkeypatch.setattr(limit, lambda self, estimate, left: calls.append(left) or estimate)
+    for _ in range(10):
+        simulation.step()
+    assert not calls
+    assert not simulation.computer.navigation.has_position_steps
+
+
 def test_after_a_jump_in_the_vertical_descent_the_lander_returns_and_stops():
     _, speed, offset = flown(Phase.VERTICAL, 8.0)
     assert speed < 0.3
