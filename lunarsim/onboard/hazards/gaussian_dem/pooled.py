@@ -151,11 +151,11 @@ def _highest_terrain(pool: SamplePool, mean: FloatMap, gradient: Array) -> Float
     """Estimate the highest terrain in each cell of a pool (rows, cols), m.
 
     The mean of a cell hides a rock that is narrower than the cell, and the highest sample lies
-    below its top. The estimate exceeds the highest sample by as much as this exceeds the `mean` (rows,
-    cols), m, of the cell and of its eight neighbours: on a cone, samples half a cell apart leave
-    this much above the highest one. The heights of the samples are first reduced by `PEAK_SIGMAS`
-    standard deviations and by what the slope of the terrain explains. `gradient` (rows cols, 2) is
-    the slope at the cells.
+    below its top. The estimate exceeds the highest sample by as much as this exceeds the `mean`
+    (rows, cols), m, of the cell and of its eight neighbours: on a cone, samples half a cell apart
+    leave this much above the highest one. The heights of the samples are first reduced by
+    `PEAK_SIGMAS` standard deviations and by what the slope of the terrain explains. `gradient`
+    (rows cols, 2) is the slope at the cells.
     """
     slope = 0.5 * pool.grid.posting * np.abs(gradient).sum(axis=1).reshape(mean.shape)
     highest = np.maximum(mean, (pool.peak + (pool.base or 0.0) - slope).astype(np.float32))
