@@ -25,10 +25,12 @@ from lunarsim.typing import Array
 from lunarsim.world.site_safety import site_safety
 from lunarsim.world.terrain import Heightfield, Terrain
 
-# Standard deviation of the mean elevation of a patch, m.
-_MEAN_SIGMA_M = 100.0
-# Standard deviation of the returns at the start of a chain, m, if their noise is smaller.
-_FIRST_SIGMA_M = 0.5
+# Standard deviation of the mean elevation of a patch, relative to the median of the returns, m.
+_MEAN_SIGMA_M = 10.0
+# Standard deviation of independent errors of the relief, m; keeps its covariance regular.
+_JITTER_M = 1e-4
+# Minimum standard deviation of the returns at the start of a chain, and of drawn patches, m.
+_FIRST_SIGMA_M, _LAST_SIGMA_M = 0.5, 1e-3
 _DIAMETERS = 4096  # entries of the table of diameters
 
 
@@ -103,7 +105,7 @@ class PatchPrior:
         shape *= np.tan(self.rms_slope) ** 2 / mean_square
         i, j = (index.ravel() for index in np.indices(grid.shape))
         away = np.abs(i[:, None] - i), np.abs(j[:, None] - j)
-        return np.asarray(shape[away] + _MEAN_SIGMA_M**2)
+        return np.asarray(shape[away] + _MEAN_SIGMA_M**2 + _JITTER_M**2 * np.eye(i.size))
 
 
 @dataclass(frozen=True)
@@ -195,6 +197,8 @@ def draw_patches(
 ) -> list[tuple[Heightfield, RockField]]:
     """Return patches of terrain from the posterior, by one Markov chain.
 
+    Elevations are relative to the median of the returns.
+
     The rocks move with the relief fixed (`move_rocks`). The relief is then drawn from its Gaussian
     distribution given the rocks and the returns that are on the terrain or on each rock. A draw
     that changes this assignment is rejected. `half` is half the side of the patch, m; the other
@@ -204,9 +208,11 @@ def draw_patches(
     inside = np.isfinite(cloud).all(axis=1) & (np.abs(cloud[:, :2]) < half).all(axis=1)
     noise = np.broadcast_to(np.asarray(sigma, dtype=np.float64), len(cloud))[inside]
     cloud = np.ascontiguousarray(cloud[inside])
+    if len(cloud):
+        cloud[:, 2] -= np.median(cloud[:, 2])
     grid = Grid.centred((0.0, 0.0), 2.0 * half + 2.0 * prior.posting, prior.posting)
     frame = (grid.x0, grid.y0, grid.posting)
-    precision = linalg.inv(prior.relief_covariance(grid) + 1e-12 * np.eye(grid.rows * grid.cols))
+    precision = linalg.inv(prior.relief_covariance(grid))
     buckets, law = _buckets(cloud, half), (
         prior.rock_density(), golombek_exponent(prior.cover) if prior.cover else 0.0,
         prior.min_diameter, prior.max_diameter, np.log(prior.diameters()),
@@ -216,8 +222,9 @@ def draw_patches(
     relief = np.zeros(grid.shape)
     patches = []
     for step in range(cooling + samples):
-        first = _FIRST_SIGMA_M * (1e-3 / _FIRST_SIGMA_M) ** (step / max(cooling, 1))
-        weight = 1.0 / np.maximum(noise, first if step < cooling else 0.0) ** 2
+        cooled = _LAST_SIGMA_M / _FIRST_SIGMA_M
+        minimum = _FIRST_SIGMA_M * cooled ** min(step / max(cooling, 1), 1.0)
+        weight = 1.0 / np.maximum(noise, minimum) ** 2
         drawn = _draw_relief(cloud, weight, owner, rocks, grid, precision, rng)
         k.fill_relief(cloud, drawn, frame, ground)
         raised = rocks.copy()
