@@ -535,11 +535,14 @@ class OnboardComputer:
         """Return the estimate for guidance, in which steps of the position are limited.
 
         The position steps when a navigation update corrects it. Steps are limited during the
-        approach; the vertical descent limits its speed towards the site itself.
+        approach; the vertical descent limits its speed towards the site itself. An approach after a
+        hover begins with the estimated position.
         """
-        if not self.navigation.has_position_steps or self.phase != Phase.APPROACH:
+        if not self.navigation.has_position_steps:
             return self.estimate
-        return self._position_limiter.limit(self.estimate, self.time_to_go)
+        return self._position_limiter.limit(
+            self.estimate, self.time_to_go if self.phase == Phase.APPROACH else np.inf
+        )
 
     def _tasks(self) -> tuple[SensorTask, ...]:
         """Return the measurement tasks of the steerable sensors for the end of the cycle."""

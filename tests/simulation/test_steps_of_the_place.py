@@ -71,7 +71,48 @@ def test_a_position_that_jumps_near_the_end_of_the_approach_is_followed_slowly(m
     assert followed > 1.5 * steady
 
 
+def test_a_position_that_jumps_early_is_followed_at_once():
+    """The limit applies below 12 s. At its minimum rate, the speed would stay below 0.35 m/s."""
+    followed, _, _ = flown(Phase.APPROACH, 14.0)
+    assert followed > 0.4
+
+
+def test_positions_of_an_external_navigation_system_are_not_limited(monkeypatch):
+    plain = {**PLAIN, "sensors": {"fix": {"kind": "navigation-fix"}}, "control": {"kind": "ideal"}}
+    simulation = Simulation(Scenario.from_dict(plain), flight_seed(1, 0), None)
+    limit = "lunarsim.onboard.guidance.command_limits.PositionCorrectionLimiter.limit"
+    calls: list[float] = []
+    monkeypatch.setattr(limit, lambda self, estimate, left: calls.append(left) or estimate)
+    for _ in range(10):
+        simulation.step()
+    assert not calls
+    assert not simulation.computer.navigation.has_position_steps
+
+
 def test_after_a_jump_in_the_vertical_descent_the_lander_returns_and_stops():
     _, speed, offset = flown(Phase.VERTICAL, 8.0)
     assert speed < 0.3
     assert offset < 1.2
+
+
+def test_the_approach_after_a_hover_begins_with_the_estimated_position():
+    """The position jumps by 12 m before the vertical descent; the second approach takes 9 s."""
+    simulation = Simulation(Scenario.from_dict(PLAIN), flight_seed(1, 0), None)
+    computer = simulation.computer
+    honest, moved = computer.navigation.estimate, np.zeros(3)
+
+    def jumped(time: float, mass: float):
+        found = honest(time, mass)
+        return replace(found, position=found.position + moved)
+
+    computer.navigation.estimate = jumped
+    hovered = False
+    while computer.phase != Phase.VERTICAL:
+        if computer.altitude < 14.0:
+            moved[1] = 12.0
+        simulation.step()
+        if hovered and computer.phase == Phase.APPROACH:
+            assert computer.time_to_go < 12.0  # s: the rate of corrections is limited
+        hovered = hovered or computer.phase == Phase.HOVER
+    assert hovered
+    assert np.hypot(*(computer.estimate.position - computer.site)[:2]) < 3.0

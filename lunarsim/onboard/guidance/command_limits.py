@@ -94,7 +94,7 @@ class PositionCorrectionLimiter:
         estimate
             Navigation estimate; the method is called once per control cycle.
         time_left
-            Time until the path ends, s; 0 after it.
+            Time until the path ends, s; inf: no limit.
         """
         position, elapsed = estimate.position[:2], estimate.time - self._time
         if self._position is not None and time_left < self.active_time_to_go:

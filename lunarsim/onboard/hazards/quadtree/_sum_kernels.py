@@ -250,7 +250,9 @@ def add_to_summed_cell(tree, leaf, first, last, index_buffer):
     tolerance = _tolerance(tree, leaf)
     low, high = s[MIN_Z], s[MAX_Z]
     plain = high - low <= tolerance
-    none_apart = s[NUMBER] == tree.count[leaf] - (last - first)
+    # More isolated points than may be marked would need this range of heights.
+    isolated_range = np.floor(MAX_OUTLIER_SHARE * s[NUMBER]) * tolerance
+    none_apart = s[NUMBER] == tree.count[leaf] - (last - first) and high - low <= isolated_range
     for i in range(first, last):
         z = np.float64(tree.xyz[i, 2])
         if none_apart and min(abs(z - low), abs(z - high)) <= tolerance:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from lunarsim.errors import InputError
@@ -40,6 +40,8 @@ def plain(quadtree):
     spread=st.sampled_from([0.1, 1.0, 5.0]),
     tall=st.sampled_from([0.1, 1.0]),
 )
+# The share of isolated points falls below the limit when a smallest cell gets more points.
+@example(seed=161, batches=[14, 245, 5], split_count=2, spread=0.1, tall=1.0)
 def test_cells_and_their_means_are_those_of_the_plain_tree(
     seed, batches, split_count, spread, tall
 ):
