@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled moves of the rocks in the reference posterior of a patch of terrain."""
 
 from __future__ import annotations
@@ -16,10 +17,11 @@ _STEP_M, _STEP_LOG = (0.0005, 0.5), (0.001, 1.0)
 
 @kernel(inline=True)
 def relief_weights(x, y, x0, y0, posting, rows, cols):
-    """Return the grid point (row, col) south-west of (x, y), and the weights of four points.
+    """Return the grid point south-west of (x, y), and the weights of four points.
 
-    The weights are those of the south-west, south-east, north-west and north-east point. Each
-    square has two triangles with a diagonal from south-west to north-east.
+    Its row and column come first. The weights are those of the south-west, south-east, north-west
+    and north-east point. Each square has two triangles with a diagonal from south-west to
+    north-east.
     """
     u, v = (x - x0) / posting, (y - y0) / posting
     col = min(max(int(np.floor(u)), 0), cols - 2)
@@ -39,10 +41,13 @@ def relief_at(x, y, relief, x0, y0, posting):
 
 
 @kernel(inner=False)
-def fill_relief(points, relief, frame, ground):
-    """Fill in the elevation of a relief (rows, cols) below each of the points: `ground` (n,), m."""
+def fill_relief(points, relief, frame, terrain):
+    """Fill in the elevation of a relief (rows, cols) below each point.
+
+    `points` (n, 2) or more are in m, and `terrain` (n,) is the result, m.
+    """
     for n in range(len(points)):
-        ground[n] = relief_at(points[n, 0], points[n, 1], relief, *frame)
+        terrain[n] = relief_at(points[n, 0], points[n, 1], relief, *frame)
 
 
 @kernel(inner=False)
@@ -74,13 +79,13 @@ def add_returns(points, weight, rocks, owner, frame, cols, precision, pull):
 
 
 @kernel()
-def _surface(x, y, ground, rocks, count, skip, extra):
+def _surface(x, y, terrain, rocks, count, skip, extra):
     """Return the elevation at (x, y) and the rock that it belongs to; -1: relief.
 
-    `ground` is the relief there. The first `count` of `rocks` (x, y, radius, base) count without
+    `terrain` is the relief there. The first `count` of `rocks` (x, y, radius, base) count without
     the rock `skip`, and also the rock `extra`, whose number is `skip`, or `count` if this is -1.
     """
-    best, owner = ground, -1
+    best, owner = terrain, -1
     for i in range(count):
         if i == skip:
             continue
@@ -98,25 +103,28 @@ def _surface(x, y, ground, rocks, count, skip, extra):
 
 
 @kernel(inner=False)
-def assign_returns(points, ground, rocks, count, owner, expected):
-    """Fill in the `owner` and `expected` elevation of each return (n,) for the current rocks."""
+def assign_returns(points, terrain, rocks, count, owner, expected):
+    """Fill in rock and elevation of each return for the current rocks.
+
+    They are `owner` (n,), -1 for the relief, and `expected` (n,), m.
+    """
     none = np.zeros(4)
     for k in range(len(points)):
         expected[k], owner[k] = _surface(
-            points[k, 0], points[k, 1], ground[k], rocks, count, -1, none
+            points[k, 0], points[k, 1], terrain[k], rocks, count, -1, none
         )
 
 
 @kernel()
 def _bucket_range(centre, radius, first, side):
-    """Return the buckets from `centre` - `radius` to `centre` + `radius` along an axis."""
+    """Return the buckets that the interval `centre` ± `radius` covers along an axis."""
     low = int(np.floor((centre - radius - first) / BUCKET_M))
     high = int(np.floor((centre + radius - first) / BUCKET_M))
     return range(max(low, 0), min(high, side - 1) + 1)
 
 
 @kernel()
-def _change(points, weight, ground, expected, buckets, rocks, count, skip, extra, found, value):
+def _change(points, weight, terrain, expected, buckets, rocks, count, skip, extra, found, value):
     """Return the change of the log likelihood, and the number of affected returns.
 
     The rock `skip` is replaced by `extra`; -1: none, and a radius of 0: nothing. The affected
@@ -144,7 +152,7 @@ def _change(points, weight, ground, expected, buckets, rocks, count, skip, extra
                         old = rocks[skip]
                         if (px - old[0]) ** 2 + (py - old[1]) ** 2 < old[2] ** 2:
                             continue
-                    new, _ = _surface(px, py, ground[k], rocks, count, skip, extra)
+                    new, _ = _surface(px, py, terrain[k], rocks, count, skip, extra)
                     before, after = points[k, 2] - expected[k], points[k, 2] - new
                     total += 0.5 * weight[k] * (before * before - after * after)
                     found[n], value[n] = k, new
@@ -159,7 +167,7 @@ def _log_uniform(low, high):
 
 @kernel(inner=False)
 def move_rocks(
-    points, weight, ground, expected, buckets, relief, frame, rocks, count, law, half, moves, seed
+    points, weight, terrain, expected, buckets, relief, frame, rocks, count, law, half, moves, seed
 ):
     """Apply `moves` reversible-jump moves to the rocks; return their number.
 
@@ -167,7 +175,7 @@ def move_rocks(
     change centre, radius or both. The acceptance probabilities are those of Green (1995,
     Biometrika 82).
 
-    `points` (n, 3) are returns with the inverse variance `weight` (n,), the relief `ground` (n,)
+    `points` (n, 3) are returns with the inverse variance `weight` (n,), the relief `terrain` (n,)
     below them and the current `expected` elevations (n,), which are updated. `buckets` are first
     return, order, origin and number per side of the buckets. `relief` (rows, cols) has the `frame`
     (x0, y0, posting). The first `count` of `rocks` (n, 4), rows x, y, radius and base, are updated.
@@ -221,7 +229,7 @@ def move_rocks(
             extra[3] = relief_at(extra[0], extra[1], relief, x0, y0, posting)
             new = extra
         change, n = _change(
-            points, weight, ground, expected, buckets, rocks, count, skip, new, found, value
+            points, weight, terrain, expected, buckets, rocks, count, skip, new, found, value
         )
         if np.log(np.random.random()) >= gain + change:  # noqa: NPY002
             continue

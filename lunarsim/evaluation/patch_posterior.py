@@ -1,4 +1,4 @@
-"""Reference for p_safe: the posterior probability of safety, by simulation of the terrain.
+"""Reference for p_safe: posterior probability of safety, by simulation.
 
 Elevations of a patch have a known prior: fractal relief and hemispherical rocks at random places
 with a given size distribution. Given the returns of a scan, a Markov chain draws patches from the
@@ -21,7 +21,7 @@ from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.rocks.field import RockField
 from lunarsim.rocks.size_distribution import golombek_exponent, golombek_number
-from lunarsim.typing import Array
+from lunarsim.typing import Array, IntArray
 from lunarsim.world.site_safety import site_safety
 from lunarsim.world.terrain import Heightfield, Terrain
 
@@ -140,7 +140,9 @@ def posterior_safety(
     moves: int = 5000,
     cooling: int = 60,
 ) -> PosteriorSafety:
-    """Return the posterior probability that a lander at the origin is safe, for all headings.
+    """Return the posterior probability that a lander at the origin is safe.
+
+    It must be safe for all headings.
 
     Parameters
     ----------
@@ -218,7 +220,7 @@ def draw_patches(
         prior.min_diameter, prior.max_diameter, np.log(prior.diameters()),
     )  # fmt: skip
     rocks, count = np.zeros((k.MAX_ROCKS, 4)), 0
-    owner, expected, ground = np.full(len(cloud), -1), *np.zeros((2, len(cloud)))
+    owner, expected, terrain = np.full(len(cloud), -1), *np.zeros((2, len(cloud)))
     relief = np.zeros(grid.shape)
     patches = []
     for step in range(cooling + samples):
@@ -226,24 +228,27 @@ def draw_patches(
         minimum = _FIRST_SIGMA_M * cooled ** min(step / max(cooling, 1), 1.0)
         weight = 1.0 / np.maximum(noise, minimum) ** 2
         drawn = _draw_relief(cloud, weight, owner, rocks, grid, precision, rng)
-        k.fill_relief(cloud, drawn, frame, ground)
+        k.fill_relief(cloud, drawn, frame, terrain)
         raised = rocks.copy()
         k.fill_relief(rocks[:count], drawn, frame, raised[:count, 3])
         new_owner, new_expected = owner.copy(), expected.copy()
-        k.assign_returns(cloud, ground, raised, count, new_owner, new_expected)
+        k.assign_returns(cloud, terrain, raised, count, new_owner, new_expected)
         # While the noise is reduced, the chain need not be exact.
         if step < cooling or np.array_equal(new_owner, owner):
             relief, rocks, expected = drawn, raised, new_expected
-        k.fill_relief(cloud, relief, frame, ground)
+        k.fill_relief(cloud, relief, frame, terrain)
         if law[0] > 0.0:
             count = k.move_rocks(
-                cloud, weight, ground, expected, buckets, relief, frame, rocks, count, law, half,
+                cloud, weight, terrain, expected, buckets, relief, frame, rocks, count, law, half,
                 moves, int(rng.integers(2**32)),
             )  # fmt: skip
-        k.assign_returns(cloud, ground, rocks, count, owner, expected)
+        k.assign_returns(cloud, terrain, rocks, count, owner, expected)
         if step >= cooling:
             x, y, radius, base = rocks[:count].T
-            patches.append((Heightfield(grid, relief), RockField.hemispheres(x, y, base, radius)))
+            elevation = relief.astype(np.float32)
+            patches.append(
+                (Heightfield(grid, elevation), RockField.hemispheres(x, y, base, radius))
+            )
     return patches
 
 
@@ -256,9 +261,10 @@ def _draw_relief(
     precision: Array,
     rng: np.random.Generator,
 ) -> Array:
-    """Draw the relief (rows, cols) given the returns (n, 3) and the rock of each return.
+    """Draw the relief (rows, cols), m, given the returns and their rocks.
 
-    `weight` (n,) are inverse variances, and `precision` is the inverse covariance of the prior.
+    `cloud` (n, 3) are the returns, `owner` (n,) the rock of each. `weight` (n,) are inverse
+    variances, and `precision` is the inverse covariance of the prior.
     """
     frame = (grid.x0, grid.y0, grid.posting)
     total, pull = precision.copy(), np.zeros(len(precision))
@@ -269,13 +275,18 @@ def _draw_relief(
     return np.asarray((mean + noise).reshape(grid.shape))
 
 
-def _buckets(cloud: Array, half: float) -> tuple[Array, Array, float, float, int]:
-    """Return first return, order, origin and number per side of the buckets of returns."""
+def _buckets(cloud: Array, half: float) -> tuple[IntArray, IntArray, float, float, int]:
+    """Return the buckets of returns.
+
+    They are the first return of each, the order of the returns, the origin, and their number per
+    side.
+    """
     side = int(np.ceil(2.0 * half / k.BUCKET_M))
     cell = np.floor((cloud[:, :2] + half) / k.BUCKET_M).astype(np.int64)
     index = np.clip(cell[:, 1], 0, side - 1) * side + np.clip(cell[:, 0], 0, side - 1)
     start = np.searchsorted(np.sort(index), np.arange(side * side + 1))
-    return start, np.argsort(index, kind="stable"), -half, -half, side
+    order = np.argsort(index, kind="stable")
+    return start.astype(np.int64), order.astype(np.int64), -half, -half, side
 
 
 def effective_samples(values: ArrayLike) -> float:

@@ -5,7 +5,7 @@ One scan from vertically above observes each world. At random sites, the table h
 map, the reference (`lunarsim.evaluation.patch_posterior`) and the exact safety. A site is claimed
 as safe if its probability exceeds 0.95, on the map also in the calibrated domain.
 
-python scenarios/lidar_maps/reference_posterior.py --worlds 40 --jobs 2
+python scenarios/lidar_maps/reference_posterior.py --worlds 30 --jobs 2
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from lunarsim.world.terrain import fractal_relief, place_rocks
 SLOPES_DEG, COVERS = (0.5, 1.0, 2.0, 3.0, 4.0), (0.01, 0.02, 0.03, 0.05, 0.07)
 DISTANCES = (100.0, 200.0, 350.0, 500.0)
 SIDE = 40.0
-SITES = 10
+SITES = 5
 MAX_DIAMETER_M = 2.0
 CLAIM_P = 0.95
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
@@ -130,7 +130,7 @@ def print_comparison(report: Report) -> None:
         )
 
 
-study = Study(measure, repeats="worlds", count=40, report=print_comparison)
+study = Study(measure, repeats="worlds", count=30, report=print_comparison)
 
 if __name__ == "__main__":
     run_script(study)

@@ -101,10 +101,9 @@ def test_without_rocks_the_relief_has_the_mean_and_variance_of_kriging():
         covariance[np.ix_(known, known)] + 0.05**2 * np.eye(6), covariance[known]
     ).T
     mean, variance = gain @ points[:, 2], np.diag(covariance - gain @ covariance[known])
-    drawn = np.array([
-        relief.z.ravel()
-        for relief, _ in draw_patches(points, 0.05, prior, HALF, rng, 2000, 0, 1)
-    ])
+    drawn = np.array(
+        [relief.z.ravel() for relief, _ in draw_patches(points, 0.05, prior, HALF, rng, 2000, 0, 1)]
+    )
     error = np.sqrt(variance / len(drawn))
     assert (np.abs(drawn.mean(axis=0) - mean) < 5.0 * error + 1e-4).all()
     assert drawn.var(axis=0) == pytest.approx(variance, rel=0.2)
@@ -141,10 +140,12 @@ def test_true_numbers_of_rocks_have_uniform_ranks_among_posterior_draws():
         rng = np.random.default_rng([3, n])
         terrain = world(PRIOR, HALF, rng)
         scan = returns(terrain, HALF, 0.15 if n % 2 else 0.4, 0.02, rng)
-        drawn = np.array([
-            large_rocks(rocks)
-            for _, rocks in draw_patches(scan, 0.02, PRIOR, HALF, rng, 20, 1500, 40)
-        ])
+        drawn = np.array(
+            [
+                large_rocks(rocks)
+                for _, rocks in draw_patches(scan, 0.02, PRIOR, HALF, rng, 20, 1500, 40)
+            ]
+        )
         true = large_rocks(terrain.rocks)
         ranks.append((drawn < true).mean() + 0.5 * (drawn == true).mean())
         spread.append(drawn.std())
