@@ -1,5 +1,6 @@
 """Studies: measure cases, keep their results, and report them."""
 
+from lunarsim.evaluation.patch_posterior import PatchPrior, PosteriorSafety, posterior_safety
 from lunarsim.evaluation.risk_control import risk_threshold
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.studies.command import report_study, run_script, run_study
@@ -10,11 +11,14 @@ from lunarsim.studies.study import Case, Study
 __all__ = [
     "Case",
     "Metric",
+    "PatchPrior",
+    "PosteriorSafety",
     "Proportion",
     "Report",
     "Study",
     "metric_table",
     "pack_array",
+    "posterior_safety",
     "report_study",
     "risk_threshold",
     "run_script",

@@ -2,7 +2,7 @@
 
 Worlds are drawn from the prior that the reference knows: fractal relief and hemispherical rocks.
 One scan from vertically above observes each world. At random sites, the table has p_safe of the
-map, the reference (`lunarsim.evaluation.patch_posterior`) and the exact safety. A site is claimed
+map, the reference (`lunarsim.studies.posterior_safety`) and the exact safety. A site is claimed
 as safe if its probability exceeds 0.95, on the map also in the calibrated domain.
 
 python scenarios/lidar_maps/reference_posterior.py --worlds 30 --jobs 2
@@ -17,13 +17,12 @@ from rich.table import Table
 
 from lunarsim import Grid, Terrain, site_safety
 from lunarsim.api import Estimate, Lander, State
-from lunarsim.evaluation.patch_posterior import PatchPrior, half_side, posterior_safety
 from lunarsim.frames import sensor_axes
 from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.rocks.size_distribution import sample_diameters
 from lunarsim.sensors.lidar import FlashLidar
-from lunarsim.studies import Case, Report, Study, run_script
+from lunarsim.studies import Case, PatchPrior, Report, Study, posterior_safety, run_script
 from lunarsim.world import World
 from lunarsim.world.terrain import fractal_relief, place_rocks
 
@@ -32,6 +31,7 @@ SLOPES_DEG, COVERS = (0.5, 1.0, 2.0, 3.0, 4.0), (0.01, 0.02, 0.03, 0.05, 0.07)
 DISTANCES = (100.0, 200.0, 350.0, 500.0)
 SIDE = 40.0
 SITES = 5
+EDGE_M = 3.5  # distance of sites from the edge of the map
 MAX_DIAMETER_M = 2.0
 CLAIM_P = 0.95
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
@@ -69,8 +69,8 @@ def measure(case: Case) -> list[dict[str, Any]]:
         mapper.update(scan, pose)
         hazards = mapper.hazard_map()
         points, sigma = scan.points(position, UPRIGHT), scan.height_sigma(UPRIGHT)
-        half, grid = half_side(prior, LANDER), hazards.grid
-        inner = np.nonzero((np.abs(grid.centres()) < 0.5 * SIDE - half).all(axis=-1).ravel())[0]
+        grid = hazards.grid
+        inner = np.nonzero((np.abs(grid.centres()) < 0.5 * SIDE - EDGE_M).all(axis=-1).ravel())[0]
         for cell in rng.choice(inner, SITES, replace=False):
             i, j = divmod(int(cell), grid.cols)
             x, y = grid.centre_of(i, j)
