@@ -165,6 +165,35 @@ def _log_uniform(low, high):
     return np.exp(np.log(low) + (np.log(high) - np.log(low)) * np.random.random())  # noqa: NPY002
 
 
+@kernel()
+def _draw_rock(rock, half, table):
+    """Draw place and radius of a new rock from the prior; `table` has logarithms of diameters."""
+    rock[0] = half * (2.0 * np.random.random() - 1.0)  # noqa: NPY002
+    rock[1] = half * (2.0 * np.random.random() - 1.0)  # noqa: NPY002
+    at = np.random.random() * (len(table) - 1)  # noqa: NPY002
+    n = min(int(at), len(table) - 2)
+    rock[2] = 0.5 * np.exp(table[n] + (at - n) * (table[n + 1] - table[n]))
+
+
+@kernel()
+def _step_rock(rock, q):
+    """Change place, radius or both at random; return the log ratio of prior and proposals.
+
+    The density of diameters D is proportional to ``exp(-q D) / D^2``, and a step of log D has the
+    factor D.
+    """
+    mode, gain = np.random.random(), 0.0  # noqa: NPY002
+    if mode < 0.67:
+        step = _log_uniform(*_STEP_M)
+        rock[0] += step * np.random.normal()  # noqa: NPY002
+        rock[1] += step * np.random.normal()  # noqa: NPY002
+    if mode > 0.33:
+        step, before = _log_uniform(*_STEP_LOG) * np.random.normal(), rock[2]  # noqa: NPY002
+        rock[2] *= np.exp(step)
+        gain = -2.0 * q * (rock[2] - before) - step
+    return gain
+
+
 @kernel(inner=False)
 def move_rocks(
     points, weight, terrain, expected, buckets, relief, frame, rocks, count, law, half, moves, seed
@@ -184,61 +213,38 @@ def move_rocks(
     most `half` from the middle along an axis. `seed` starts the random numbers.
     """
     np.random.seed(seed)  # noqa: NPY002  (Numba's own state, private to compiled code)
-    density, q, low, high, table = law
-    x0, y0, posting = frame
-    mean = density * 4.0 * half * half
+    mean = law[0] * 4.0 * half * half
     extra, none = np.zeros(4), np.zeros(4)
     found, value = np.empty(2 * len(points), np.int64), np.empty(2 * len(points))
     for _ in range(moves):
         kind = np.random.random()  # noqa: NPY002
-        skip = -1
-        if kind < 0.25:
+        is_birth, is_death, skip = kind < 0.25, 0.25 <= kind < 0.5, -1
+        if is_birth:
             if count == MAX_ROCKS:
                 continue
-            extra[0] = half * (2.0 * np.random.random() - 1.0)  # noqa: NPY002
-            extra[1] = half * (2.0 * np.random.random() - 1.0)  # noqa: NPY002
-            at = np.random.random() * (len(table) - 1)  # noqa: NPY002
-            n = min(int(at), len(table) - 2)
-            extra[2] = 0.5 * np.exp(table[n] + (at - n) * (table[n + 1] - table[n]))
-            extra[3] = relief_at(extra[0], extra[1], relief, x0, y0, posting)
+            _draw_rock(extra, half, law[4])
             gain = np.log(mean / (count + 1))
-            new = extra
         elif count == 0:
             continue
-        elif kind < 0.5:
-            skip = int(np.random.random() * count)  # noqa: NPY002
-            gain, new = np.log(count / mean), none
         else:
             skip = int(np.random.random() * count)  # noqa: NPY002
             extra[:] = rocks[skip]
-            mode = np.random.random()  # noqa: NPY002
-            if mode < 0.67:
-                step = _log_uniform(*_STEP_M)
-                extra[0] += step * np.random.normal()  # noqa: NPY002
-                extra[1] += step * np.random.normal()  # noqa: NPY002
-            gain = 0.0
-            if mode > 0.33:
-                step = _log_uniform(*_STEP_LOG) * np.random.normal()  # noqa: NPY002
-                extra[2] *= np.exp(step)
-                # The density of diameters D is exp(-q D) / D^2; a step of log D has the factor D.
-                gain = -2.0 * q * (extra[2] - rocks[skip, 2]) - step
-            if not (abs(extra[0]) <= half and abs(extra[1]) <= half):
+            gain = np.log(count / mean) if is_death else _step_rock(extra, law[1])
+            if not (max(abs(extra[0]), abs(extra[1])) <= half and law[2] <= 2 * extra[2] <= law[3]):
                 continue
-            if not low <= 2.0 * extra[2] <= high:
-                continue
-            extra[3] = relief_at(extra[0], extra[1], relief, x0, y0, posting)
-            new = extra
+        extra[3] = relief_at(extra[0], extra[1], relief, *frame)
         change, n = _change(
-            points, weight, terrain, expected, buckets, rocks, count, skip, new, found, value
-        )
+            points, weight, terrain, expected, buckets, rocks, count, skip,
+            none if is_death else extra, found, value,
+        )  # fmt: skip
         if np.log(np.random.random()) >= gain + change:  # noqa: NPY002
             continue
         for m in range(n):
             expected[found[m]] = value[m]
-        if kind < 0.25:
+        if is_birth:
             rocks[count] = extra
             count += 1
-        elif kind < 0.5:
+        elif is_death:
             count -= 1
             rocks[skip] = rocks[count]
         else:
