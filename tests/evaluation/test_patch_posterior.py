@@ -20,7 +20,9 @@ from lunarsim.rocks.field import RockField
 from lunarsim.rocks.size_distribution import golombek_number
 from lunarsim.world.terrain import Heightfield, Terrain
 
-PRIOR = PatchPrior(cover=0.06, min_diameter=0.2, rms_slope=np.deg2rad(2.0))
+PRIOR = PatchPrior(
+    cover=0.06, min_diameter=0.2, max_diameter=0.8, rms_slope=np.deg2rad(2.0)
+)  # fmt: skip
 HALF = 1.5
 NO_RETURNS = np.zeros((0, 3))
 
@@ -74,6 +76,7 @@ def test_without_returns_the_chain_draws_from_the_prior():
     assert abs(count.mean() - mean) < 4.0 * error
     assert count.var() == pytest.approx(mean, rel=0.3)
     diameter = 2.0 * np.concatenate([rocks.a for _, rocks in patches])
+    assert diameter.min() >= 0.2 and diameter.max() <= 0.8
     for d in (0.25, 0.3, 0.5):
         expected = golombek_number([d, PRIOR.min_diameter, PRIOR.max_diameter], PRIOR.cover)
         share = (expected[0] - expected[2]) / (expected[1] - expected[2])
