@@ -32,14 +32,21 @@ def site_risk_thresholds(
     Raises
     ------
     InputError
-        If weights are unequal, the campaign stops early, the metric is not a boolean column, or an
-        arm has no flights.
+        If weights are unequal, the campaign stops early, flights are not independent (Latin
+        hypercube, Sobol sequence), the metric is not a boolean column, or an arm has no flights.
     """
     results.check_equal_weights("folder")
     if "stop" in results.manifest["identity"]:
         raise InputError(
             "folder", str(results.folder), "must be a campaign without [stop]",
             "The bound needs a number of flights that does not depend on their outcomes.",
+        )  # fmt: skip
+    method = results.manifest["identity"].get("method")
+    if method in ("latin-hypercube", "sobol"):
+        raise InputError(
+            "folder", str(results.folder),
+            f"must be a campaign with independent flights, not with method = {method!r}",
+            "Use method = 'monte-carlo'.",
         )  # fmt: skip
     columns = results.manifest["columns"]
     for name, wanted in ((metric, "bool"), ("p_safe", "float"), ("aborted", "bool")):

@@ -79,6 +79,13 @@ def test_a_number_of_flights_that_depends_on_outcomes_is_refused():
         site_risk_thresholds(found)
 
 
+@pytest.mark.parametrize("method", ["latin-hypercube", "sobol"])
+def test_designs_whose_flights_depend_on_each_other_are_refused(method):
+    found = campaign(np.full(120, 0.9), np.ones(120, bool), method=method)
+    with pytest.raises(InputError, match=f"independent flights.*{method}"):
+        site_risk_thresholds(found)
+
+
 def test_an_unknown_metric_is_refused_with_a_suggestion():
     with pytest.raises(InputError, match="Did you mean 'safe'"):
         site_risk_thresholds(campaign(np.ones(3), np.ones(3, bool)), "saef")
