@@ -167,7 +167,10 @@ def _log_uniform(low, high):
 
 @kernel()
 def _draw_rock(rock, half, table):
-    """Draw place and radius of a new rock from the prior; `table` has logarithms of diameters."""
+    """Draw place and radius of a new rock from the prior.
+
+    `half` and `table` are those of `move_rocks`.
+    """
     rock[0] = half * (2.0 * np.random.random() - 1.0)  # noqa: NPY002
     rock[1] = half * (2.0 * np.random.random() - 1.0)  # noqa: NPY002
     at = np.random.random() * (len(table) - 1)  # noqa: NPY002
@@ -177,10 +180,10 @@ def _draw_rock(rock, half, table):
 
 @kernel()
 def _step_rock(rock, q):
-    """Change place, radius or both at random; return the log ratio of prior and proposals.
+    """Change place, radius or both; return the log ratio of the acceptance.
 
-    The density of diameters D is proportional to ``exp(-q D) / D^2``, and a step of log D has the
-    factor D.
+    It contains the prior and the proposals, not the returns. The density of diameters D is
+    proportional to ``exp(-q D) / D^2``, and a step of log D has the factor D.
     """
     mode, gain = np.random.random(), 0.0  # noqa: NPY002
     if mode < 0.67:
