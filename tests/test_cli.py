@@ -52,7 +52,11 @@ def test_fly_prints_the_outcome_and_writes_the_record(small, tmp_path):
     assert result.exit_code == 0, result.output
     told = dict(re.findall(r"^ +(\S.*?)  +(\S.*?) *$", result.stdout, re.MULTILINE))
     assert told.pop("map 'dem'") == "is outside its calibrated domain"
+    diverts = [told.pop(name) for name in list(told) if re.fullmatch(r"[\d.]+ s", name)]
     flight = Flight.load(out)
+    changes = np.any(np.diff(flight.sites[:, :2], axis=0) != 0.0, axis=1)
+    assert len(diverts) == np.count_nonzero(changes)
+    assert all(line.endswith("safest site") for line in diverts)
     touchdown, degrees = flight.outcome.touchdown, np.rad2deg
     assert told == {
         "time of flight": f"{flight.trajectory['time'][-1]:.1f} s",

@@ -130,7 +130,7 @@ def test_heights_beyond_the_law_have_the_last_ratio():
 
 @pytest.mark.parametrize("slope", [0.0, 0.6])
 def test_fewer_unseen_rocks_make_sites_safer_and_more_less_safe(slope):
-    plainly = evidence(slope=slope, rough=0.1, density=5.0, curve=rocky(2.0))
+    plainly = evidence(slope=slope, rough=0.1, density=5.0, curve=rocky(16.0))
     p = [
         calibrated_safety(replace(plainly, undetected_rock_ratio=t))[0].mean()
         for t in (thinning((4.0, 4.0, 4.0)), None, thinning())
