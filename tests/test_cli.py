@@ -50,15 +50,15 @@ def test_fly_prints_the_outcome_and_writes_the_record(small, tmp_path):
     out = tmp_path / "flight"
     result = run("fly", str(small), "--seed", "3", "--out", str(out))
     assert result.exit_code == 0, result.output
-    told = dict(re.findall(r"^ +(\S.*?)  +(\S.*?) *$", result.stdout, re.MULTILINE))
-    assert told.pop("map 'dem'") == "is outside its calibrated domain"
-    diverts = [told.pop(name) for name in list(told) if re.fullmatch(r"[\d.]+ s", name)]
+    printed = dict(re.findall(r"^ +(\S.*?)  +(\S.*?) *$", result.stdout, re.MULTILINE))
+    assert printed.pop("map 'dem'") == "is outside its calibrated domain"
+    diverts = [printed.pop(name) for name in list(printed) if re.fullmatch(r"[\d.]+ s", name)]
     flight = Flight.load(out)
     changes = np.any(np.diff(flight.sites[:, :2], axis=0) != 0.0, axis=1)
     assert len(diverts) == np.count_nonzero(changes)
     assert all(line.endswith("safest site") for line in diverts)
     touchdown, degrees = flight.outcome.touchdown, np.rad2deg
-    assert told == {
+    assert printed == {
         "time of flight": f"{flight.trajectory['time'][-1]:.1f} s",
         "propellant": f"{flight.trajectory['mass'][0] - flight.trajectory['mass'][-1]:.1f} kg",
         "divert": f"{flight.divert_distance:.1f} m",

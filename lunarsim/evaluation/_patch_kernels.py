@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel
+from lunarsim.world.terrain._surface_kernels import relief_at
 
 # Sides of the buckets of returns, m.
 BUCKET_M = 0.25
@@ -30,14 +31,6 @@ def relief_weights(x, y, x0, y0, posting, rows, cols):
     if u >= v:
         return row, col, 1.0 - u, u - v, 0.0, v
     return row, col, 1.0 - v, 0.0, v - u, u
-
-
-@kernel(inner=False)
-def relief_at(x, y, relief, x0, y0, posting):
-    """Return the elevation of a relief (rows, cols) at one point, m."""
-    row, col, sw, se, nw, ne = relief_weights(x, y, x0, y0, posting, *relief.shape)
-    south = sw * relief[row, col] + se * relief[row, col + 1]
-    return south + nw * relief[row + 1, col] + ne * relief[row + 1, col + 1]
 
 
 @kernel(inner=False)

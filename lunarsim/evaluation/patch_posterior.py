@@ -75,8 +75,8 @@ class PatchPrior:
         """Return the mean number of rocks per square metre."""
         if self.cover == 0.0:
             return 0.0
-        most, least = golombek_number([self.min_diameter, self.max_diameter], self.cover)
-        return float(most - least)
+        number = golombek_number([self.min_diameter, self.max_diameter], self.cover)
+        return float(number[0] - number[1])
 
     def diameters(self) -> Array:
         """Return the diameters (n,), m, at equal steps of their distribution function."""
@@ -147,7 +147,7 @@ def posterior_safety(
     Parameters
     ----------
     points
-        Returns around the site (n, 3), m, with the site at x = y = 0.
+        Returns around the site (n, 3), m, ENU, with the site at x = y = 0.
     sigma
         Standard deviation of their height (n,), m.
     prior

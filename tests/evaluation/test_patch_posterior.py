@@ -18,7 +18,7 @@ from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.rocks.field import RockField
 from lunarsim.rocks.size_distribution import golombek_number
-from lunarsim.world.terrain import Heightfield, Terrain
+from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief
 
 PRIOR = PatchPrior(
     cover=0.06, min_diameter=0.2, max_diameter=0.8, rms_slope=np.deg2rad(2.0)
@@ -89,6 +89,21 @@ def test_without_returns_the_chain_draws_from_the_prior():
     rise = [relief.z[:, 2:] - relief.z[:, :-2] for relief, _ in patches]
     slope = np.sqrt(2.0 * np.mean(np.square(rise)))  # both directions, 1 m apart
     assert slope == pytest.approx(np.tan(PRIOR.rms_slope), rel=0.15)
+
+
+def test_the_covariance_is_that_of_fractal_relief():
+    prior = PatchPrior(cover=0.0, rms_slope=np.deg2rad(4.0), terrain_size=40.0)
+    grid = Grid.centred((0.0, 0.0), 4.0, prior.posting)
+    covariance = prior.relief_covariance(grid)
+    rng, whole = np.random.default_rng(8), Grid.centred((0.0, 0.0), 40.0, prior.posting)
+    drawn = [
+        fractal_relief(whole, rng, hurst=prior.hurst, rms_slope=prior.rms_slope).z
+        for _ in range(60)
+    ]
+    for lag in (1, 2, 4, 7):
+        found = np.mean([(z[:, lag:] - z[:, :-lag]).astype(float).var() for z in drawn])
+        expected = 2.0 * (covariance[0, 0] - covariance[0, lag])
+        assert found == pytest.approx(expected, rel=0.1), lag
 
 
 def test_without_rocks_the_relief_has_the_mean_and_variance_of_kriging():

@@ -92,11 +92,11 @@ def test_narrow_rocks_that_the_mission_does_not_expect_are_rarely_claimed_safe(s
         terrain={"rms_slope_deg": 1.0}, rocks={"shape": "irregular", "cover": 0.03},
         vehicle={"leg_radius_m": 3.6, "roughness_limit_m": 0.2},
     )  # fmt: skip
-    for scenario, distance, least in ((narrow, 122.0, 0.98), (wide, 250.0, 0.9)):
+    for scenario, distance, limit in ((narrow, 122.0, 0.98), (wide, 250.0, 0.9)):
         rows = [script.map_precision(scenario, distance, 0.0, 3, n) for n in range(4)]
         claimed, unsafe = (sum(row[name] for row in rows) for name in ("claimed", "unsafe"))
         assert claimed > 300
-        assert unsafe / claimed < 1.0 - least
+        assert unsafe / claimed < 1.0 - limit
 
 
 def test_a_world_with_few_claims_has_a_score_above_one(small, monkeypatch):

@@ -108,9 +108,8 @@ def dem_site_evidence(
     """
     s = dem.sampling
     beam = beam_ratio * s.spacing
-    unknown = np.float32(np.nan)
     observed_mean = sharpened_elevation(
-        np.where(dem.observed, dem.mean, unknown), dem.grid.posting, beam
+        np.where(dem.observed, dem.mean, np.float32(np.nan)), dem.grid.posting, beam
     )
     # What a cell hides is at most as wide as the cell. Squared: few beams hit its centre.
     hidden = (dem.peak - dem.mean) / np.float32(peak_ratio(0.5 * dem.grid.posting, beam) ** 2)

@@ -183,15 +183,9 @@ def _sampling_statistics(
     middle = float(np.median(spacing))
     # Average over about four samples each way.
     window = max(5, round(4.0 * middle / pool.grid.posting))
-    # Zero in cells without samples, whose spacing is infinite.
-    density = (
-        np.where(
-            np.isfinite(pool.spacing),
-            np.minimum(pool.spacing, pool.grid.posting).astype(float),
-            np.inf,
-        )
-        ** -2.0
-    )
+    # Cells without samples have an infinite spacing.
+    closest = np.minimum(pool.spacing, pool.grid.posting).astype(np.float64)
+    density = np.where(np.isfinite(pool.spacing), closest**-2.0, 0.0)
     residual_heights = vertices[:, 2] - squares.plane_heights(planes, vertices)
     residual_raster = np.full(pool.grid.shape, np.nan, np.float32)
     # Vertices are in the order of their cells.

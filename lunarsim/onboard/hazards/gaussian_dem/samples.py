@@ -59,7 +59,7 @@ class SamplePool:
         Minimum distance of neighbouring samples within their scans (rows, cols), m; inf without
         samples.
     peak
-        Maximum over the samples in each cell of their height above `base` minus two standard
+        Maximum over the samples in each cell of their height above `base` minus four standard
         deviations (rows, cols), m; -inf without samples.
     """
 

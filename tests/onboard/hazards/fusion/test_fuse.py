@@ -86,19 +86,21 @@ def test_an_elevation_map_without_site_evidence_is_unchanged():
     assert fuse_evidence(own, None, TERMS) is own.hazard_map
 
 
-@pytest.mark.parametrize("told", [True, False])
-def test_what_a_calibration_of_its_own_claims_stays_where_the_other_sensor_saw_nothing(told):
+@pytest.mark.parametrize("has_evidence", [True, False])
+def test_what_a_calibration_of_its_own_claims_stays_where_the_other_sensor_saw_nothing(
+    has_evidence,
+):
     refit = ScenarioCalibration(
         CalibrationStage(-3.0), CalibrationStage(-3.0),
         CalibrationDomain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0)),
         lander_safety_params(LANDER), GAUSSIAN_DEM.packaged.digest,
     )  # fmt: skip
-    judged = evidence(slope=0.9, rough=0.9, density=5.0)
-    p, known = calibrated_safety(judged, refit=refit)
+    site_evidence = evidence(slope=0.9, rough=0.9, density=5.0)
+    p, known = calibrated_safety(site_evidence, refit=refit)
     assert known.all()
     assert ((p > ALMOST_CERTAINLY_UNSAFE_P) & (p < ALMOST_CERTAINLY_SAFE_P)).any()
-    drawn = HazardMap(GRID, p, judged.observed, SAMPLED, in_domain=known)
-    own = TerrainEvidence(drawn, judged if told else None, refit, SAMPLED)
+    drawn = HazardMap(GRID, p, site_evidence.observed, SAMPLED, in_domain=known)
+    own = TerrainEvidence(drawn, site_evidence if has_evidence else None, refit, SAMPLED)
     blind = fuse_evidence(own, eyes(seen=False), TERMS)
     assert np.array_equal(blind.p_safe, p)
     assert np.array_equal(blind.in_domain, known)
