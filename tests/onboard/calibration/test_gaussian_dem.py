@@ -335,6 +335,13 @@ def test_where_rocks_too_low_to_be_counted_tilt_the_lander_no_site_is_surely_saf
             assert (p > 0.99).all() if counts else (p <= most).all()
 
 
+def test_higher_rocks_of_the_same_diameter_are_more_often_missed():
+    curves = [height_curve(np.zeros(0), 0.01, 0.25, 0.05, ratio) for ratio in (0.5, 0.8)]
+    assert [curve.rock_height_ratio for curve in curves] == [0.5, 0.8]
+    flat, high = (curve.unseen_rocks(0.3, 20.0) / curve.at(0.3) for curve in curves)
+    assert high > 10.0 * flat
+
+
 @pytest.mark.parametrize("ratio", [0.5, 0.8])
 def test_unseen_rocks_are_those_that_random_samples_miss(ratio):
     """Against throwing samples at discs 1.5 times as large as the base of a rock of this height."""

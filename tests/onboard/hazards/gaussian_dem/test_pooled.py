@@ -124,7 +124,7 @@ def test_a_rock_narrower_than_a_cell_raises_the_peak_and_not_the_mean(slope):
     for radius in (0.08, 0.3):
         z = np.where(np.hypot(x - 0.1, y - 0.1) < radius, 0.3, 0.0) + slope * x
         pool = SamplePool(grid)
-        pool.add(np.column_stack((x.ravel(), y.ravel(), z.ravel())), 0.005, 0.05)
+        pool.add(np.column_stack((x.ravel(), y.ravel(), z.ravel())), 0.001, 0.05)
         dem = pooled_dem(pool)
         level = slope * grid.centres()[..., 0]
         found[radius] = dem.mean - level, dem.peak - level
@@ -136,7 +136,7 @@ def test_a_rock_narrower_than_a_cell_raises_the_peak_and_not_the_mean(slope):
     mean, peak = found[0.08]
     assert mean.max() < 0.2
     # Four standard deviations below the highest sample, plus its excess over the mean.
-    assert peak.max() == pytest.approx(2.0 * 0.28 - mean.max(), abs=0.1 * slope + 1e-6)
+    assert peak.max() == pytest.approx(2.0 * 0.296 - mean.max(), abs=0.15 * slope + 1e-6)
     # The neighbouring cells show a wide rock.
     assert found[0.3][1].max() == pytest.approx(0.3, abs=0.03)
 
