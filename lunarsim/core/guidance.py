@@ -37,6 +37,7 @@ class VerticalDescentParams(NamedTuple):
     tolerated_speed: float
     tolerated_offset: float
     max_offset: float
+    upright_time: float
     min_speed_fraction: float
     hold_propellant: float
     dry_mass: float
@@ -196,9 +197,13 @@ def vertical_descent_command(state, end, nominal, mass, law, command):
         toward = gain * (end[k] - state[0, k])
         command[k] = toward - 2.0 * law.damping * law.frequency * state[1, k]
     limit, size = up * tan_tilt, np.hypot(command[0], command[1])
+    # The lander becomes upright before touchdown, unless it holds its height or climbs.
+    upright_height = law.upright_time * max(-wanted, 0.0)
+    fraction = min(max(height, 0.0) / upright_height, 1.0) if upright_height > 0.0 else 1.0
     if size > limit:
-        command[0] *= limit / size
-        command[1] *= limit / size
+        fraction *= limit / size
+    command[0] *= fraction
+    command[1] *= fraction
     command[2] = up
 
 

@@ -634,6 +634,7 @@ class TerminalDescentTable(SelectedPart):
     time_constant_s: float
     tolerated_offset_m: float
     tolerated_speed_m_s: float
+    upright_time_s: float
     velocity_time_s: float
     zero_speed_height_m: float
 
@@ -662,6 +663,7 @@ class TerminalDescentChanges(TypedDict, total=False):
     time_constant_s: float
     tolerated_offset_m: float
     tolerated_speed_m_s: float
+    upright_time_s: float
     velocity_time_s: float
     zero_speed_height_m: float
 

@@ -357,7 +357,7 @@ def test_errors_at_touchdown_follow_from_control_and_throttle():
     assert row.named("touchdown-speed").available == pytest.approx(expected, rel=0.01)
     # 12 deg above 8 m to 2 deg at touchdown; at 2 m/s, a lag of 1.8 / f is 3.6 / f metres.
     row = checked("instruments", ("control.frequency_rad_s=1.5",)).named("touchdown-tilt")
-    assert row.available == pytest.approx(2.0 + 10.0 * 2.4 / 8.0)
+    assert row.available == pytest.approx((2.0 + 10.0 * 2.4 / 8.0) * 1.2 / 2.0)
 
 
 def test_speed_error_of_pulses_is_half_of_their_ripple():

@@ -81,6 +81,8 @@ def vertical_descent(
     proportion to the missing part of the loop's speed, at up to a quarter of its speed. It does not
     return if it needs its propellant above 10 kg to descend, with its `mass`, kg, and `exhaust`
     velocity, m/s.
+
+    In the last 2 s before touchdown, at the wanted speed, the horizontal command decreases to zero.
     """
     frequency, damping = 0.6, 1.1
     if lag > 0.0:
@@ -117,6 +119,8 @@ def vertical_descent(
     side = 2.0 * damping * frequency * (wanted - np.array(v[:2]))
     limit = up * math.tan(max_tilt(height, 3.0 if slips else 8.0))
     share = min(1.0, limit / max(math.hypot(*side), 1e-300))
+    if speed > 0.0:
+        share *= min(max(height, 0.0) / speed / 2.0, 1.0)
     return np.array([share * side[0], share * side[1], up])
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from lunarsim.onboard.phases import Phase
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
+from lunarsim.vehicle.touchdown import Touchdown
 
-STEP = np.array([0.0, 2.0, 0.0])
 PLAIN = {
     "name": "level",
     "simulation": {"cycle_s": 0.2},
@@ -34,12 +35,12 @@ PLAIN = {
 }
 
 
-def flown(phase: Phase, left: float) -> tuple[float, float, float]:
-    """Fly; let the estimated position jump by 2 m to the north.
+def flown(phase: Phase, left: float, jump: float = 2.0) -> tuple[float, Touchdown, float]:
+    """Fly; let the estimated position jump by `jump`, m, to the north.
 
     It jumps with the time `left` of the approach, s, or at the height `left` in the vertical
-    descent, m. Return the maximum speed north until the end of this phase, m/s, and horizontal
-    speed, m/s, and offset from the estimated site, m, at touchdown.
+    descent, m. Return the maximum speed north until the end of this phase, m/s, the touchdown, and
+    its offset from the estimated site, m.
     """
     simulation = Simulation(Scenario.from_dict(PLAIN), flight_seed(1, 0), None)
     computer = simulation.computer
@@ -47,7 +48,7 @@ def flown(phase: Phase, left: float) -> tuple[float, float, float]:
 
     def moved(time: float, mass: float):
         found = honest(time, mass)
-        return replace(found, position=found.position + jumped[0] * STEP)
+        return replace(found, position=found.position + jumped[0] * np.array([0.0, jump, 0.0]))
 
     computer.navigation.estimate = moved
     while not simulation.done:
@@ -59,7 +60,7 @@ def flown(phase: Phase, left: float) -> tuple[float, float, float]:
     assert jumped[0]
     touchdown = simulation.flight().outcome.touchdown
     offset = computer.estimate.position[:2] - computer.site[:2]
-    return fastest, touchdown.horizontal_speed, float(np.hypot(*offset))
+    return fastest, touchdown, float(np.hypot(*offset))
 
 
 def test_a_position_that_jumps_near_the_end_of_the_approach_is_followed_slowly(monkeypatch):
@@ -90,9 +91,17 @@ def test_positions_of_an_external_navigation_system_are_not_limited(monkeypatch)
 
 
 def test_after_a_jump_in_the_vertical_descent_the_lander_returns_and_stops():
-    _, speed, offset = flown(Phase.VERTICAL, 8.0)
-    assert speed < 0.3
+    _, touchdown, offset = flown(Phase.VERTICAL, 8.0)
+    assert touchdown.horizontal_speed < 0.35
     assert offset < 1.2
+
+
+@pytest.mark.parametrize("height", [6.0, 4.5, 3.0])
+def test_after_a_small_jump_the_lander_touches_down_upright_without_rotation(height):
+    _, touchdown, _ = flown(Phase.VERTICAL, height, 0.9)
+    assert touchdown.horizontal_speed < 0.3
+    assert np.rad2deg(touchdown.rate) < 1.5
+    assert np.rad2deg(touchdown.tilt) < 1.0
 
 
 def test_the_approach_after_a_hover_begins_with_the_estimated_position():

@@ -162,16 +162,20 @@ def _hold_start(mission: Mission) -> list[Found]:
 def _touchdown_tilt(mission: Mission) -> list[Found]:
     """Return the tilt limit, and the tilt that can remain at touchdown.
 
-    The law reduces its maximum tilt linearly over the last metres. The attitude lags behind by the
-    response time of the control; a phase-plane control leaves its dead band.
+    The law reduces its maximum tilt linearly over the last metres, and its command over the last
+    seconds. The attitude lags behind by the response time of the control; a phase-plane control
+    leaves its dead band.
     """
     law, control = mission.vertical_descent, mission.software.control
     if law is None:
         return []
-    height = mission.software.approach.vertical_descent_speed * control.response_time
-    lag = (law.max_tilt - law.max_tilt_at_touchdown) * min(height / law.full_tilt_height, 1.0)
-    error = control.dead_band if isinstance(control, PhasePlane) else lag
-    return one(mission.lander.tilt_limit, law.max_tilt_at_touchdown + error)
+    if isinstance(control, PhasePlane):
+        return one(mission.lander.tilt_limit, law.max_tilt_at_touchdown + control.dead_band)
+    lag = control.response_time
+    height = mission.software.approach.vertical_descent_speed * lag
+    more = (law.max_tilt - law.max_tilt_at_touchdown) * min(height / law.full_tilt_height, 1.0)
+    tilt = (law.max_tilt_at_touchdown + more) * min(lag / law.upright_time, 1.0)
+    return one(mission.lander.tilt_limit, tilt)
 
 
 DESCENT_CHECKS = (

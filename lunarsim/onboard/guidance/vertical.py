@@ -92,6 +92,8 @@ class VerticalDescent:
         Height below which the maximum tilt decreases linearly towards touchdown, m.
     low_height
         The same height during a slowed descent, m.
+    upright_time
+        Time before touchdown in which the horizontal command decreases to zero, s.
     tolerated_speed
         Tolerated horizontal speed, m/s.
     tolerated_offset
@@ -152,6 +154,13 @@ class VerticalDescent:
         gt=0,
         help="height above touchdown below which the maximum tilt decreases while the descent is "
         "slowed by horizontal motion",
+    )
+    upright_time: float = quantity(
+        2.0,
+        "s",
+        gt=0,
+        help="time before touchdown in which the horizontal acceleration that the vertical descent "
+        "commands decreases to zero, so that the lander touches down upright without rotation",
     )
     tolerated_speed: float = quantity(
         0.3,

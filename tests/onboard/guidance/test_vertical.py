@@ -168,7 +168,24 @@ def test_the_lander_returns_to_its_site_before_touchdown(lag, offset, drift):
     assert r[2] <= 0.0
     assert nearest > 1.0  # m: it does not go down beside its site
     assert abs(r[0]) < law.tolerated_offset + 0.5 * kept
-    assert abs(v[0]) < law.tolerated_speed
+    assert abs(v[0]) < 1.01 * law.tolerated_speed
+
+
+def test_the_horizontal_command_decreases_to_zero_before_touchdown():
+    """It does so in the last 2 s of the descent, but not while the lander climbs."""
+
+    def fractions(law, heights):
+        commands = [
+            law.command(estimate([0.0, 0.0, h], [0.01, 0.0, -2.0]), GROUND, 0.0)[0]
+            for h in (9.0, *heights)
+        ]
+        return np.array(commands[1:]) / commands[0]
+
+    law, later = VerticalDescent(gravity=G), VerticalDescent(gravity=G, upright_time=0.5)
+    assert fractions(law, (4.01, 2.0, 0.4, 0.0)) == pytest.approx([1.0, 0.5, 0.1, 0.0])
+    assert fractions(later, (1.01, 0.5)) == pytest.approx([1.0, 0.5])
+    command = law.command(estimate([0.0, 0.0, 1.0], [2.0, 0.0, 0.0]), GROUND, 0.0)  # it climbs
+    assert np.arctan2(-command[0], command[2]) > np.deg2rad(5.0)
 
 
 def test_only_within_twice_the_maximum_offset_the_return_slows_the_descent():
