@@ -75,6 +75,9 @@ MISDESIGNS = {
         (JETS[0], "control.kind=quaternion-feedback", "control.braking_rad_s2=0.5"),
         {"control-braking"}, set(),
     ),
+    "limit of the rate below what attitude control leaves": (
+        ("vehicle.rate_limit_deg_s=1",), {"touchdown-rate"}, set(),
+    ),
     "wide dead band (flown)": ((*JETS, "control.dead_band_deg=5"), {"touchdown-tilt"}, set()),
     "slow control (flown)": ((*JETS, "control.period_s=1"), {"control-period"}, set()),
     "strong thrusters (flown)": (
@@ -356,8 +359,14 @@ def test_errors_at_touchdown_follow_from_control_and_throttle():
     expected = 2.0 + 800.0 / (1.5 * mass)
     assert row.named("touchdown-speed").available == pytest.approx(expected, rel=0.01)
     # 12 deg above 8 m to 2 deg at touchdown; at 2 m/s, a lag of 1.8 / f is 3.6 / f metres.
-    row = checked("instruments", ("control.frequency_rad_s=1.5",)).named("touchdown-tilt")
-    assert row.available == pytest.approx((2.0 + 10.0 * 2.4 / 8.0) * 1.2 / 2.0)
+    # The command decreases to zero over 2 s; a slower lander has all of this tilt left.
+    slow, slower = (checked("instruments", (f"control.frequency_rad_s={f}",)) for f in (1.5, 0.8))
+    lag, late = 1.2, 2.25
+    tilt = 2.0 + 10.0 * 2.0 * lag / 8.0
+    assert slow.named("touchdown-tilt").available == pytest.approx(tilt * lag / 2.0)
+    assert slow.named("touchdown-rate").available == pytest.approx((tilt + 2.5 * lag) / 2.0)
+    assert slower.named("touchdown-tilt").available == pytest.approx(2.0 + 2.5 * late)
+    assert slower.named("touchdown-rate").available == pytest.approx(2.5)
 
 
 def test_speed_error_of_pulses_is_half_of_their_ripple():

@@ -159,23 +159,38 @@ def _hold_start(mission: Mission) -> list[Found]:
     return [] if law is None else one(left, law.hold_propellant)
 
 
+def _remaining_tilt(mission: Mission, law: VerticalDescent) -> tuple[float, float]:
+    """Return tilt, rad, and rate, rad/s, that an attitude loop has left at touchdown.
+
+    The law reduces its maximum tilt linearly with the height, and its command over the last
+    seconds. The attitude lags behind the command by the response time of the control.
+    """
+    lag = mission.software.control.response_time
+    slope = law.max_tilt - law.max_tilt_at_touchdown
+    slope *= mission.software.approach.vertical_descent_speed / law.full_tilt_height
+    tilt = min(law.max_tilt_at_touchdown + slope * lag, law.max_tilt)
+    if lag >= law.upright_time:
+        return tilt, slope
+    return tilt * lag / law.upright_time, (tilt + slope * lag) / law.upright_time
+
+
 def _touchdown_tilt(mission: Mission) -> list[Found]:
     """Return the tilt limit, and the tilt that can remain at touchdown.
 
-    The law reduces its maximum tilt linearly over the last metres, and its command over the last
-    seconds. The attitude lags behind by the response time of the control; a phase-plane control
-    leaves its dead band.
+    A phase-plane control leaves its dead band.
     """
     law, control = mission.vertical_descent, mission.software.control
     if law is None:
         return []
     if isinstance(control, PhasePlane):
         return one(mission.lander.tilt_limit, law.max_tilt_at_touchdown + control.dead_band)
-    lag = control.response_time
-    height = mission.software.approach.vertical_descent_speed * lag
-    more = (law.max_tilt - law.max_tilt_at_touchdown) * min(height / law.full_tilt_height, 1.0)
-    tilt = (law.max_tilt_at_touchdown + more) * min(lag / law.upright_time, 1.0)
-    return one(mission.lander.tilt_limit, tilt)
+    return one(mission.lander.tilt_limit, _remaining_tilt(mission, law)[0])
+
+
+def _touchdown_rate(mission: Mission) -> list[Found]:
+    """Return the limit of the angular rate, and the rate that can remain at touchdown."""
+    law = mission.vertical_descent
+    return [] if law is None else one(mission.lander.rate_limit, _remaining_tilt(mission, law)[1])
 
 
 DESCENT_CHECKS = (
@@ -249,6 +264,9 @@ DESCENT_CHECKS = (
         "tilt that guidance and attitude control allow at touchdown",
         "landings violate the limit, or the lander drifts: lower control.dead_band_deg, or raise "
         "control.frequency_rad_s"),
+    Check("touchdown-rate", "gear", "deg/s", AT_MOST, 0.25, _touchdown_rate,
+        "angular rate that guidance and attitude control allow at touchdown",
+        "landings violate the limit: raise terminal_descent.upright_time_s"),
     Check("belly-clearance", "maps", "m", AT_LEAST, 0.0,
         lambda m: one(m.lander.roughness_limit, m.lander.belly_clearance),
         "clearance under the body against the roughness limit",

@@ -207,6 +207,7 @@ class VerticalDescent:
         check_bounds(self, "terminal_descent")
         for name, most in (
             ("max_tilt_at_touchdown", "max_tilt"), ("low_height", "full_tilt_height"),
+            ("tolerated_offset", "max_offset"),
         ):  # fmt: skip
             if getattr(self, name) > getattr(self, most):
                 raise InputError(
