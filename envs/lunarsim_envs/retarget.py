@@ -180,7 +180,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
 
     The score, without shaping, is higher for every safe landing than for any other outcome. Weights
     that violate this are refused. ``info["cost"]``, for constrained methods, is 1 if an episode
-    ends without a safe landing, and 0 otherwise.
+    ends without a safe landing, and 0 otherwise. `lunarsim_envs.costs.CostWrapper` adds costs of
+    every step.
 
     ## Starting State
 

@@ -266,7 +266,7 @@ class GuidanceEnv(DescentEnv):
     corresponds to 0.999 at 50 Hz.
 
     ``info["cost"]``, for constrained methods, is 1 if the episode ends without a safe landing, and
-    0 otherwise.
+    0 otherwise. `lunarsim_envs.costs.CostWrapper` adds costs of every step.
 
     ## Starting State
 
