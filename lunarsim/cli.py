@@ -11,6 +11,7 @@ import click
 
 import lunarsim
 from lunarsim.atomic_files import new_contents_remover, remove_contents_on_error
+from lunarsim.cli_agent import agent
 from lunarsim.cli_campaign import campaign, replay, sweep
 from lunarsim.cli_common import (
     FLIGHT,
@@ -57,7 +58,9 @@ def main() -> None:
     """  # noqa: D301  (click wants the character itself)
 
 
-for _command in (campaign, sweep, replay, terrain, scenario, vehicle, parts, evaluate, study):
+for _command in (
+    agent, campaign, sweep, replay, terrain, scenario, vehicle, parts, evaluate, study
+):  # fmt: skip
     main.add_command(_command)
 
 

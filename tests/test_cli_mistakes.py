@@ -152,6 +152,12 @@ OWN = {
         ["Did you mean 'time_scale'"]),
         (["Guidance-v1"], ["--agent", "evaluate --help"]),
     ],
+    "agent export": [
+        (["gone.zip", "--out", "x.onnx"], ["gone.zip", "saved by Stable-Baselines3"]),
+        (["broken.zip", "--out", "x.onnx"], ["broken.zip", "saved by Stable-Baselines3"]),
+        (["broken.zip", "--out", "x.txt"], ["--out: ", "got 'x.txt'", ".onnx"]),
+        (["broken.zip"], ["--out", "agent export --help"]),
+    ],
     "parts": [(["polcy"], ["contract: ", "got 'polcy'", "Did you mean 'policy'"])],
     "campaign plan": [
         (["gone.toml"], ["gone.toml", "an existing TOML file"]),

@@ -66,6 +66,11 @@ def test_a_pickle_is_not_read_without_trust(tmp_path):
     for fly in (agent_of, lambda given, env: Sb3Agent(env, given)):
         with pytest.raises(InputError, match="trust_pickle"):
             fly(str(path), env)
+    (tmp_path / "normalize.pkl").write_bytes(pickle.dumps(Bomb(mark)))
+    out = str(tmp_path / "agent.onnx")
+    arguments = ["--out", out, "--vec-normalize", str(tmp_path / "normalize.pkl")]
+    done = CliRunner().invoke(main, ["agent", "export", str(path), *arguments])
+    assert done.exit_code == 2 and "--trust-pickle" in done.stderr, done.output
     assert not mark.exists()
 
 

@@ -1,0 +1,126 @@
+"""Export agents of Stable-Baselines3 to ONNX; needs the extra ``rl``."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box, Dict
+
+from lunarsim.atomic_files import atomic_write
+from lunarsim.errors import InputError, missing_package
+from lunarsim.typing import Array
+from lunarsim_envs.agents.sb3_agents import check_trust, load_model
+
+# Mean, standard deviation and bound of a component of the observation.
+Scaling = tuple[Array, Array, float]
+
+
+def export_onnx(
+    path: Path, out: Path, *, vec_normalize: Path | None = None, trust_pickle: bool = False
+) -> None:
+    """Write the deterministic policy of a Stable-Baselines3 agent to an ONNX file.
+
+    The inputs are the observation or its entries by name. The output is the action, or for discrete
+    actions the scores of all options. The file contains no code.
+
+    Parameters
+    ----------
+    path
+        Agent (``.zip``), a pickle that can run any code when it is loaded.
+    out
+        File to write.
+    vec_normalize
+        Statistics that `VecNormalize.save` wrote in the training, also a pickle; the network then
+        normalises its inputs. None: the training did not use `VecNormalize`.
+    trust_pickle
+        Whether the user trusts these files. Otherwise they are refused without loading.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used, its statistics are of another observation, or PyTorch or
+        Stable-Baselines3 are missing.
+    """
+    check_trust(str(path), trust_pickle)
+    try:
+        import onnxscript  # noqa: F401, PLC0415  (torch.onnx needs it)
+        import torch  # noqa: PLC0415
+    except ImportError as error:
+        raise missing_package("--agent", str(error.name), "rl") from None
+    policy = load_model(path).policy
+    if hasattr(policy, "lstm_actor"):
+        raise InputError("--agent", str(path), "must be a network without memory")
+    space = policy.observation_space
+    parts = dict(space.spaces) if isinstance(space, Dict) else {"observation": space}
+    scalings = {} if vec_normalize is None else _load_scalings(vec_normalize, parts)
+
+    def normalised(name: str, value: Any) -> Any:
+        if name not in scalings:
+            return value
+        mean, deviation, bound = scalings[name]
+        scaled = (value - torch.as_tensor(mean)) / torch.as_tensor(deviation)
+        return torch.clamp(scaled, -bound, bound).float()
+
+    class DeterministicPolicy(torch.nn.Module):  # type: ignore[misc]
+        """Network that returns the deterministic action, or scores of discrete actions."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.policy = policy
+
+        def forward(self, *seen: Any) -> Any:
+            named = {n: normalised(n, one) for n, one in zip(parts, seen, strict=True)}
+            shown = named if isinstance(space, Dict) else named["observation"]
+            if isinstance(policy.action_space, Box):
+                return policy._predict(shown, deterministic=True)
+            if hasattr(policy, "q_net"):
+                return policy.q_net(shown)
+            chosen = policy.get_distribution(shown)
+            several = getattr(chosen, "distributions", None) or chosen.distribution
+            several = several if isinstance(several, list) else [several]
+            return torch.cat([one.logits for one in several], dim=1)
+
+    zeros = tuple(torch.zeros((1, *(part.shape or ()))) for part in parts.values())
+    policy.set_training_mode(False)
+    # The validation of distributions depends on values, which no exported network can.
+    torch.distributions.Distribution.set_default_validate_args(False)
+    network = DeterministicPolicy().eval()
+    options = {"input_names": list(parts), "external_data": False, "verbose": False}
+    try:
+        atomic_write(out, lambda file: torch.onnx.export(network, zeros, str(file), **options))
+    finally:
+        torch.distributions.Distribution.set_default_validate_args(__debug__)
+
+
+def _load_scalings(path: Path, parts: dict[str, Any]) -> dict[str, Scaling]:
+    """Load the scaling of each component of an observation from a file.
+
+    The file is one of `VecNormalize.save`. `parts` are the spaces of the components by name. An
+    `InputError` is raised if the file has no
+    such statistics, or if they are of another observation.
+    """
+    field = "--vec-normalize"
+    try:
+        saved = pickle.loads(path.read_bytes())  # the caller has checked that the user trusts it
+        statistics, bound = saved.obs_rms, float(saved.clip_obs)
+        epsilon, normalises = float(saved.epsilon), bool(saved.norm_obs)
+    except (OSError, pickle.UnpicklingError, AttributeError, EOFError, ImportError, TypeError):
+        raise InputError(field, str(path), "must be a file of VecNormalize.save") from None
+    if not normalises:
+        return {}
+    by_name = statistics if isinstance(statistics, dict) else {"observation": statistics}
+    found = {}
+    for name, one in by_name.items():
+        shape = parts[name].shape if name in parts else None
+        if np.shape(one.mean) != shape:
+            own = ", ".join(f"{key} {part.shape}" for key, part in parts.items())
+            raise InputError(
+                field, str(path),
+                f"must have statistics of the agent's observation ({own}), not of {name} "
+                f"{np.shape(one.mean)}",
+            )  # fmt: skip
+        found[name] = (np.asarray(one.mean), np.sqrt(np.asarray(one.var) + epsilon), bound)
+    return found
