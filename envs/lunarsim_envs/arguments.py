@@ -135,14 +135,6 @@ def checked_options(options: Any) -> dict[str, Any]:
     return dict(named)
 
 
-def check_no_render_mode(render_mode: Any) -> None:
-    """Raise an `InputError` if a vector environment is to use a render mode."""
-    if render_mode is not None:
-        raise InputError(
-            "render_mode", render_mode, "must be None for vector environments, which do not render"
-        )
-
-
 def check_no_dispersions(dispersions: Any) -> None:
     """Raise an `InputError` if an environment with kernels gets the argument."""
     if dispersions is not None:

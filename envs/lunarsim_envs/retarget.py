@@ -24,12 +24,12 @@ from lunarsim_envs.arguments import (
     scenario_argument,
 )
 from lunarsim_envs.chase_view import ChaseViewRenderer
-from lunarsim_envs.descent.plane_view import PlaneView
 from lunarsim_envs.frame_window import FrameWindow, available_render_modes
 from lunarsim_envs.rewards import RewardWeights, SiteRewards, sum_terms
 from lunarsim_envs.sites.actions import DEFAULT_ACTION, SiteActions
 from lunarsim_envs.sites.field_of_view import deciding_mapper
 from lunarsim_envs.sites.flights import KernelFlight
+from lunarsim_envs.sites.map_view import MapView
 from lunarsim_envs.sites.observations import DEFAULT, SiteObservationLayout
 from lunarsim_envs.sites.perception import FULL_SIMULATION, PERCEPTIONS, create_flight
 from lunarsim_envs.sites.perception_scenarios import with_perception
@@ -234,10 +234,11 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
       videos.
     - ``views``: adds a chase view over the rendered terrain, the onboard camera view and gauges to
       frames (needs OpenGL; not with kernels).
-    - ``num_envs``, ``autoreset_mode``, ``max_episode_steps`` with ``gymnasium.make_vec(...,
-      vectorization_mode="vector_entry_point")``: number of flights in kernels; "NextStep",
-      "SameStep" or "Disabled"; number of steps until truncation. Environment i with seed s gives
-      the same episodes as a single environment with seed s + i.
+    - ``num_envs``, ``autoreset_mode``, ``max_episode_steps``, ``rendered`` with
+      ``gymnasium.make_vec(..., vectorization_mode="vector_entry_point")``: number of flights in kernels; "NextStep",
+      "SameStep" or "Disabled"; number of steps until truncation; environments whose frames
+      ``render`` returns with ``render_mode="rgb_array"`` (default: the first one). Environment i
+      with seed s gives the same episodes as a single environment with seed s + i.
 
     ## Version History
 
@@ -300,9 +301,9 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         self.observation_space = self.shown.space
         self.frames: FrameRenderer | None = None
         self.views: ChaseViewRenderer | None = None
-        self._picture: PlaneView | None = None
+        self._picture: MapView | None = None
         if render_mode is not None and isinstance(self.flight, KernelFlight):
-            self._picture = PlaneView(self.flight.lanes)
+            self._picture = MapView(self.flight.lanes)
         self._with_views = views
         self._has_started, self._over, self._due = False, False, 0.0
         self._film: list[NDArray[np.uint8]] = []
@@ -409,8 +410,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         """Return an RGB image of the descent, its last 60 m and the map (360, 800, 3).
 
         With `views`, the image also shows a chase view, the onboard camera view and gauges above
-        the plots (720, 800, 3). With kernels, the image shows the descent in a vertical plane and
-        gauges (440, 640, 3). The mode ``"rgb_array_list"`` returns the images since the last call.
+        the plots (720, 800, 3). With kernels, the image shows the descent in a vertical plane,
+        gauges, and the hazard map with candidate sites (440, 1080, 3). The mode ``"rgb_array_list"`` returns the images since the last call.
         The mode ``"human"`` returns None, because a window shows every frame during the flight.
         """
         if self.render_mode is None:

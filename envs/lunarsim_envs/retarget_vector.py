@@ -15,7 +15,6 @@ from lunarsim.scenario import Scenario
 from lunarsim.typing import Array, BoolArray
 from lunarsim_envs.arguments import (
     check_no_dispersions,
-    check_no_render_mode,
     checked_int,
     checked_options,
     checked_split,
@@ -23,6 +22,8 @@ from lunarsim_envs.arguments import (
 )
 from lunarsim_envs.descent.batch import FLYING
 from lunarsim_envs.descent.options import apply_options
+from lunarsim_envs.descent.plane_view import Image
+from lunarsim_envs.lane_renderer import LaneRenderer
 from lunarsim_envs.resets import check_all_reset, lane_seeds, reset_mask
 from lunarsim_envs.retarget import retarget_scenario
 from lunarsim_envs.rewards import RewardWeights, SiteRewards, sum_terms, touchdown_limit_ratios
@@ -61,10 +62,10 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         covers: Sequence[float] = (),
         surrogate: Any = None,
         dispersions: None = None,
-        render_mode: None = None,
+        render_mode: str | None = None,
         max_episode_steps: int | None = None,
+        rendered: Sequence[int] = (0,),
     ) -> None:
-        check_no_render_mode(render_mode)
         check_no_dispersions(dispersions)
         num_envs, worlds = checked_int("num_envs", num_envs, 1), checked_int("worlds", worlds, 1)
         world_seed = checked_int("world_seed", world_seed, 0)
@@ -80,13 +81,17 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.shown = SiteObservationLayout(observation)
         self.num_envs = num_envs
         self.autoreset_mode = _MODE(autoreset_mode)
-        self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
+        self._renderer = LaneRenderer(render_mode, rendered, self.lanes)
+        self.metadata = {
+            "render_modes": self._renderer.modes, "autoreset_mode": self.autoreset_mode,
+            "render_fps": 1,
+        }  # fmt: skip
         self.single_action_space = self.actions.space
         self.single_observation_space = self.shown.space
         batch = gymnasium.vector.utils.batch_space
         self.action_space = batch(self.single_action_space, num_envs)
         self.observation_space = batch(self.single_observation_space, num_envs)
-        self.render_mode = None
+        self.render_mode = render_mode
         self._small = np.zeros((num_envs, 2, MAP_CELLS, MAP_CELLS), np.float32)
         self._rngs: list[np.random.Generator | None] = [None] * num_envs
         self._due = np.zeros(num_envs, np.bool_)
@@ -125,6 +130,17 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._limit.begin(mask)
         self._shrink(mask)
         self.rewards.begin(mask, *self.reward_inputs())
+        self._renderer.begin(mask)
+
+    def render(self) -> tuple[Image, ...] | None:
+        """Return an RGB image of each environment of the argument `rendered`, (440, 1080, 3).
+
+        Without a render mode, it returns None. With the autoreset mode "SameStep", the image after
+        the last step of an episode shows the next one.
+        """
+        if self._renderer.has_views and any(rng is None for rng in self._rngs):
+            raise gymnasium.error.ResetNeeded("Call reset() before render().")
+        return self._renderer.draw()
 
     def reward_inputs(self) -> tuple[Any, ...]:
         """Return the arguments of `SiteRewards.begin` after the mask.
@@ -181,6 +197,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         decisions = self.actions.decisions(chosen, self.inputs)
         lanes.decide(decisions.site, moved, decisions.time_scale)
         self._shrink(lanes.mapped)
+        self._renderer.note(moved)
         terminated = moved & (lanes.ended != FLYING)
         terms = self._terms(moved, terminated, decisions.invalid)
         rewards = sum_terms(terms)

@@ -48,8 +48,10 @@ def test_arguments_that_are_none_are_refused(kind, more, arguments, says):
         (RetargetEnv, {"perception": "surrogate", "surrogate": 3}, "surrogate"),
         (RetargetEnv, {"views": 1}, "views"),
         (GuidanceEnv, {"privileged": "no"}, "privileged"),
-        (RetargetVectorEnv, {"render_mode": "rgb_array"}, "do not render"),
-        (GuidanceVectorEnv, {"render_mode": "human"}, "do not render"),
+        (RetargetVectorEnv, {"render_mode": "rgb_array_list"}, "render_mode"),
+        (GuidanceVectorEnv, {"render_mode": "human"}, "render_mode"),
+        (GuidanceVectorEnv, {"num_envs": 2, "rendered": [0, 2]}, "below num_envs"),
+        (GuidanceVectorEnv, {"num_envs": 2, "rendered": [0.5]}, "rendered"),
     ]
     + [(RetargetVectorEnv, {"num_envs": n}, "num_envs") for n in (0, -1, 1.5, "a", True)],
     ids=str,

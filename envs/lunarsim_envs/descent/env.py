@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.typing import Array, BoolArray
-from lunarsim_envs.arguments import check_no_render_mode, checked_options
+from lunarsim_envs.arguments import checked_options
 from lunarsim_envs.descent.batch import FLYING
 from lunarsim_envs.descent.core import DescentEnvArguments, DescentEnvCore
-from lunarsim_envs.descent.plane_view import PlaneView
+from lunarsim_envs.descent.plane_view import Image, PlaneView
 from lunarsim_envs.frame_window import FrameWindow, available_render_modes
+from lunarsim_envs.lane_renderer import LaneRenderer
 from lunarsim_envs.resets import check_all_reset, lane_seeds, reset_mask
 from lunarsim_envs.rewards import sum_terms
 from lunarsim_envs.step_limit import StepLimit
@@ -127,17 +128,21 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self,
         num_envs: int = 1,
         autoreset_mode: str | gymnasium.vector.AutoresetMode = "NextStep",
-        render_mode: None = None,
+        render_mode: str | None = None,
         max_episode_steps: int | None = None,
+        rendered: Sequence[int] = (0,),
         **settings: Unpack[DescentEnvArguments],
     ) -> None:
-        check_no_render_mode(render_mode)
         self.descents = DescentEnvCore(
             num_envs, guided=self.guided, **({"rate_hz": self.rate} | settings)
         )
         self.num_envs = num_envs
         self.autoreset_mode = gymnasium.vector.AutoresetMode(autoreset_mode)
-        self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
+        self._renderer = LaneRenderer(render_mode, rendered, self.descents.lanes)
+        self.metadata = {
+            "render_modes": self._renderer.modes, "autoreset_mode": self.autoreset_mode,
+            "render_fps": max(round(1.0 / self.descents.period), 1),
+        }  # fmt: skip
         self.single_action_space = self.descents.actions.space
         self.single_observation_space = self.descents.observation_space
         batch = gymnasium.vector.utils.batch_space
@@ -145,7 +150,7 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.observation_space = batch(self.single_observation_space, num_envs)
         self._due, self._was_reset = np.zeros((2, num_envs), np.bool_)
         self._limit = StepLimit(max_episode_steps, num_envs)
-        self.render_mode = None
+        self.render_mode = render_mode
 
     def reset(
         self,
@@ -168,6 +173,17 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def _restart(self, mask: BoolArray) -> None:
         self.descents.restart(mask)
         self._limit.begin(mask)
+        self._renderer.begin(mask)
+
+    def render(self) -> tuple[Image, ...] | None:
+        """Return an RGB image of each environment of the argument `rendered`, (440, 640, 3).
+
+        Without a render mode, it returns None. With the autoreset mode "SameStep", the image after
+        the last step of an episode shows the next one.
+        """
+        if self._renderer.has_views and not self._was_reset.all():
+            raise gymnasium.error.ResetNeeded("Call reset() before render().")
+        return self._renderer.draw()
 
     def _hidden(self) -> dict[str, Any]:
         extra_info = self.descents.extra_info()
@@ -183,6 +199,7 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                 "An episode has ended. Call reset() with options['reset_mask']."
             )
         terms, moved, terminated = d.step(actions)
+        self._renderer.note(moved)
         over = terminated
         info: dict[str, Any] = {"reward_terms": terms, "_reward_terms": moved}
         info |= {"cost": np.where(over & ~d.lanes.safe, 1.0, 0.0), "_cost": moved}
@@ -319,10 +336,11 @@ class GuidanceEnv(DescentEnv):
     - ``privileged``: adds ``info["privileged"]`` (29,) for asymmetric critics: the true state with
       the default observation components, then all values of ``info["randomized"]``.
     - ``dispersions``: must be omitted; ``Retarget-v1`` draws faults of sensors and actuators.
-    - ``num_envs``, ``autoreset_mode``, ``max_episode_steps`` with ``gymnasium.make_vec(...,
-      vectorization_mode="vector_entry_point")``: number of flights in one kernel; "NextStep",
-      "SameStep" or "Disabled"; number of steps until truncation. Environment i with seed s gives
-      the same episodes as a single environment with seed s + i.
+    - ``num_envs``, ``autoreset_mode``, ``max_episode_steps``, ``rendered`` with
+      ``gymnasium.make_vec(..., vectorization_mode="vector_entry_point")``: number of flights in one kernel; "NextStep",
+      "SameStep" or "Disabled"; number of steps until truncation; environments whose frames
+      ``render`` returns with ``render_mode="rgb_array"`` (default: the first one). Environment i
+      with seed s gives the same episodes as a single environment with seed s + i.
 
     ## Version History
 

@@ -1,0 +1,68 @@
+"""Render selected environments of a vector environment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from lunarsim.errors import InputError
+from lunarsim.typing import BoolArray
+from lunarsim_envs.arguments import checked_int
+from lunarsim_envs.descent.batch import DescentBatch
+from lunarsim_envs.descent.plane_view import Image, PlaneView
+from lunarsim_envs.sites.batch import SiteDescentBatch
+from lunarsim_envs.sites.map_view import MapView
+
+
+class LaneRenderer:
+    """Draw the frames of some environments of a batch.
+
+    Parameters
+    ----------
+    render_mode
+        ``"rgb_array"``, or None for no frames.
+    rendered
+        Indices of the environments to draw.
+    lanes
+        Landers of all environments.
+
+    Raises
+    ------
+    InputError
+        If the mode is another one, or an index is not that of an environment.
+    """
+
+    def __init__(self, render_mode: Any, rendered: Sequence[int], lanes: DescentBatch) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise InputError("render_mode", render_mode, "must be 'rgb_array' or None")
+        indices = [checked_int(f"rendered[{i}]", one, 0) for i, one in enumerate(rendered)]
+        for i, one in enumerate(indices):
+            if one >= lanes.count:
+                raise InputError(f"rendered[{i}]", one, f"must be below num_envs ({lanes.count})")
+        self.modes = ["rgb_array"]
+        self._views: dict[int, PlaneView] = {}
+        if render_mode is not None:
+            has_maps = isinstance(lanes, SiteDescentBatch) and lanes.keeps_maps
+            kind: Any = MapView if has_maps else PlaneView
+            self._views = {one: kind(lanes, one) for one in indices}
+
+    @property
+    def has_views(self) -> bool:
+        """Whether frames are drawn."""
+        return bool(self._views)
+
+    def begin(self, mask: BoolArray) -> None:
+        """Start the drawn paths of the environments of `mask` (n,)."""
+        for lane, view in self._views.items():
+            if mask[lane]:
+                view.begin()
+
+    def note(self, mask: BoolArray) -> None:
+        """Append the positions of the environments of `mask` (n,) to their drawn paths."""
+        for lane, view in self._views.items():
+            if mask[lane]:
+                view.note()
+
+    def draw(self) -> tuple[Image, ...] | None:
+        """Return an RGB image of each selected environment; None without a render mode."""
+        return tuple(view.draw() for view in self._views.values()) if self._views else None
