@@ -235,8 +235,9 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     - ``views``: adds a chase view over the rendered terrain, the onboard camera view and gauges to
       frames (needs OpenGL; not with kernels).
     - ``num_envs``, ``autoreset_mode``, ``max_episode_steps``, ``rendered`` with
-      ``gymnasium.make_vec(..., vectorization_mode="vector_entry_point")``: number of flights in kernels; "NextStep",
-      "SameStep" or "Disabled"; number of steps until truncation; environments whose frames
+      ``gymnasium.make_vec(..., vectorization_mode="vector_entry_point")``: number of flights in
+      kernels; "NextStep", "SameStep" or "Disabled"; number of steps until truncation; environments
+      whose frames
       ``render`` returns with ``render_mode="rgb_array"`` (default: the first one). Environment i
       with seed s gives the same episodes as a single environment with seed s + i.
 
@@ -411,7 +412,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
 
         With `views`, the image also shows a chase view, the onboard camera view and gauges above
         the plots (720, 800, 3). With kernels, the image shows the descent in a vertical plane,
-        gauges, and the hazard map with candidate sites (440, 1080, 3). The mode ``"rgb_array_list"`` returns the images since the last call.
+        gauges, and the hazard map with candidate sites (440, 1080, 3). The mode
+        ``"rgb_array_list"`` returns the images since the last call.
         The mode ``"human"`` returns None, because a window shows every frame during the flight.
         """
         if self.render_mode is None:

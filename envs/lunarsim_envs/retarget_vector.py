@@ -21,14 +21,15 @@ from lunarsim_envs.arguments import (
     checked_weights,
 )
 from lunarsim_envs.descent.batch import FLYING
+from lunarsim_envs.descent.lane_renderer import LaneRenderer
 from lunarsim_envs.descent.options import apply_options
 from lunarsim_envs.descent.plane_view import Image
-from lunarsim_envs.lane_renderer import LaneRenderer
 from lunarsim_envs.resets import check_all_reset, lane_seeds, reset_mask
 from lunarsim_envs.retarget import retarget_scenario
 from lunarsim_envs.rewards import RewardWeights, SiteRewards, sum_terms, touchdown_limit_ratios
 from lunarsim_envs.sites.actions import DEFAULT_ACTION, SiteActions
 from lunarsim_envs.sites.flights import site_inputs
+from lunarsim_envs.sites.map_view import MapView
 from lunarsim_envs.sites.observations import DEFAULT, Shown, SiteObservationLayout
 from lunarsim_envs.sites.perception import create_batch
 from lunarsim_envs.sites.site_inputs import MAP_CELLS, SiteInputs, downsample_maps
@@ -81,7 +82,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.shown = SiteObservationLayout(observation)
         self.num_envs = num_envs
         self.autoreset_mode = _MODE(autoreset_mode)
-        self._renderer = LaneRenderer(render_mode, rendered, self.lanes)
+        self._renderer = LaneRenderer(render_mode, rendered, self.lanes, MapView)
         self.metadata = {
             "render_modes": self._renderer.modes, "autoreset_mode": self.autoreset_mode,
             "render_fps": 1,
@@ -133,7 +134,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._renderer.begin(mask)
 
     def render(self) -> tuple[Image, ...] | None:
-        """Return an RGB image of each environment of the argument `rendered`, (440, 1080, 3).
+        """Return an RGB image (440, 1080, 3) of each environment of `rendered`.
 
         Without a render mode, it returns None. With the autoreset mode "SameStep", the image after
         the last step of an episode shows the next one.

@@ -13,9 +13,9 @@ from lunarsim.typing import Array, BoolArray
 from lunarsim_envs.arguments import checked_options
 from lunarsim_envs.descent.batch import FLYING
 from lunarsim_envs.descent.core import DescentEnvArguments, DescentEnvCore
+from lunarsim_envs.descent.lane_renderer import LaneRenderer
 from lunarsim_envs.descent.plane_view import Image, PlaneView
 from lunarsim_envs.frame_window import FrameWindow, available_render_modes
-from lunarsim_envs.lane_renderer import LaneRenderer
 from lunarsim_envs.resets import check_all_reset, lane_seeds, reset_mask
 from lunarsim_envs.rewards import sum_terms
 from lunarsim_envs.step_limit import StepLimit
@@ -176,7 +176,7 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._renderer.begin(mask)
 
     def render(self) -> tuple[Image, ...] | None:
-        """Return an RGB image of each environment of the argument `rendered`, (440, 640, 3).
+        """Return an RGB image (440, 640, 3) of each environment of `rendered`.
 
         Without a render mode, it returns None. With the autoreset mode "SameStep", the image after
         the last step of an episode shows the next one.
@@ -337,8 +337,9 @@ class GuidanceEnv(DescentEnv):
       the default observation components, then all values of ``info["randomized"]``.
     - ``dispersions``: must be omitted; ``Retarget-v1`` draws faults of sensors and actuators.
     - ``num_envs``, ``autoreset_mode``, ``max_episode_steps``, ``rendered`` with
-      ``gymnasium.make_vec(..., vectorization_mode="vector_entry_point")``: number of flights in one kernel; "NextStep",
-      "SameStep" or "Disabled"; number of steps until truncation; environments whose frames
+      ``gymnasium.make_vec(..., vectorization_mode="vector_entry_point")``: number of flights in one
+      kernel; "NextStep", "SameStep" or "Disabled"; number of steps until truncation; environments
+      whose frames
       ``render`` returns with ``render_mode="rgb_array"`` (default: the first one). Environment i
       with seed s gives the same episodes as a single environment with seed s + i.
 

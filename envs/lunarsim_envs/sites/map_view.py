@@ -1,4 +1,4 @@
-"""Render a descent with its hazard map and candidate sites, for flights by kernels."""
+"""Render a descent by kernels with its hazard map and candidate sites."""
 
 from __future__ import annotations
 

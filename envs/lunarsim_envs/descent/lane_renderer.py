@@ -8,10 +8,7 @@ from typing import Any
 from lunarsim.errors import InputError
 from lunarsim.typing import BoolArray
 from lunarsim_envs.arguments import checked_int
-from lunarsim_envs.descent.batch import DescentBatch
 from lunarsim_envs.descent.plane_view import Image, PlaneView
-from lunarsim_envs.sites.batch import SiteDescentBatch
-from lunarsim_envs.sites.map_view import MapView
 
 
 class LaneRenderer:
@@ -25,6 +22,8 @@ class LaneRenderer:
         Indices of the environments to draw.
     lanes
         Landers of all environments.
+    view
+        Class that draws one of them.
 
     Raises
     ------
@@ -32,7 +31,9 @@ class LaneRenderer:
         If the mode is another one, or an index is not that of an environment.
     """
 
-    def __init__(self, render_mode: Any, rendered: Sequence[int], lanes: DescentBatch) -> None:
+    def __init__(
+        self, render_mode: Any, rendered: Sequence[int], lanes: Any, view: Any = PlaneView
+    ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise InputError("render_mode", render_mode, "must be 'rgb_array' or None")
         indices = [checked_int(f"rendered[{i}]", one, 0) for i, one in enumerate(rendered)]
@@ -42,9 +43,7 @@ class LaneRenderer:
         self.modes = ["rgb_array"]
         self._views: dict[int, PlaneView] = {}
         if render_mode is not None:
-            has_maps = isinstance(lanes, SiteDescentBatch) and lanes.keeps_maps
-            kind: Any = MapView if has_maps else PlaneView
-            self._views = {one: kind(lanes, one) for one in indices}
+            self._views = {one: view(lanes, one) for one in indices}
 
     @property
     def has_views(self) -> bool:
