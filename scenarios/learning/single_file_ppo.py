@@ -1,0 +1,146 @@
+"""Train an agent of Guidance-v1 by PPO in one file, with PyTorch only.
+
+    python scenarios/learning/single_file_ppo.py --out ppo.onnx
+    lunarsim evaluate Guidance-v1 --agent ppo.onnx --agent apollo
+
+Change this file for experiments with the algorithm. It follows Schulman et al., "Proximal policy
+optimization algorithms", 2017, with generalised advantage estimation. Observations of the batch
+are used as tensors without a copy. The script needs the extra `rl`.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+import gymnasium
+import numpy as np
+import torch
+from torch import nn
+from torch.distributions import Normal
+
+ENV = "lunarsim_envs:lunarsim/Guidance-v1"
+GAMMA, LAMBDA, CLIP, EPOCHS, ENTROPY, VALUE, MAX_GRADIENT = 0.99, 0.95, 0.2, 10, 0.0, 0.5, 0.5
+
+
+def network(inputs: int, outputs: int, gain: float) -> nn.Sequential:
+    """Return a network with two hidden layers of 64 units and orthogonal weights."""
+    layers = [nn.Linear(inputs, 64), nn.Linear(64, 64), nn.Linear(64, outputs)]
+    for layer, size in zip(layers, (2**0.5, 2**0.5, gain), strict=True):
+        nn.init.orthogonal_(layer.weight, size)
+        nn.init.zeros_(layer.bias)
+    return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
+
+
+class Agent(nn.Module):
+    """Normal policy with a constant standard deviation, and a value network."""
+
+    def __init__(self, inputs: int, actions: int) -> None:
+        super().__init__()
+        self.mean, self.value = network(inputs, actions, 0.01), network(inputs, 1, 1.0)
+        self.log_deviation = nn.Parameter(torch.zeros(actions))
+
+    def policy(self, seen: torch.Tensor) -> Normal:
+        """Return the distribution of actions for observations (n, inputs)."""
+        return Normal(self.mean(seen), self.log_deviation.exp(), validate_args=False)
+
+
+def advantages(rewards: torch.Tensor, values: torch.Tensor, ends: torch.Tensor) -> torch.Tensor:
+    """Return generalised advantage estimates (steps, lanes).
+
+    `values` (steps + 1, lanes) are those before each step and after the last one; `ends` (steps,
+    lanes) is 1 where an episode ended.
+    """
+    found, last = torch.zeros_like(rewards), torch.zeros(rewards.shape[1])
+    for n in reversed(range(len(rewards))):
+        goes_on = 1.0 - ends[n]
+        error = rewards[n] + GAMMA * values[n + 1] * goes_on - values[n]
+        last = error + GAMMA * LAMBDA * goes_on * last
+        found[n] = last
+    return found
+
+
+def update(
+    agent: Agent, optimiser: torch.optim.Optimizer, data: list[torch.Tensor], batch: int
+) -> None:
+    """Improve the agent on one rollout.
+
+    `data` has observations (n, inputs), actions (n, actions), and (n,) log probabilities,
+    advantages and returns; `batch` is the size of a minibatch.
+    """
+    for _ in range(EPOCHS):
+        for chosen in torch.randperm(len(data[0])).split(batch):
+            seen, actions, before, gain, returns = (one[chosen] for one in data)
+            policy = agent.policy(seen)
+            ratio = (policy.log_prob(actions).sum(1) - before).exp()
+            gain = (gain - gain.mean()) / (gain.std() + 1e-8)
+            policy_loss = -torch.min(gain * ratio, gain * ratio.clamp(1 - CLIP, 1 + CLIP)).mean()
+            value_loss = (agent.value(seen)[:, 0] - returns).square().mean()
+            entropy = policy.entropy().sum(1).mean()
+            loss = policy_loss + VALUE * value_loss - ENTROPY * entropy
+            optimiser.zero_grad()
+            loss.backward()
+            nn.utils.clip_grad_norm_(agent.parameters(), MAX_GRADIENT)
+            optimiser.step()
+
+
+@click.command()
+@click.option("--steps", default=3_000_000, show_default=True, help="Total number of steps.")
+@click.option("--lanes", default=64, show_default=True, help="Number of parallel flights.")
+@click.option("--horizon", default=128, show_default=True, help="Steps between two updates.")
+@click.option("--batch", default=512, show_default=True, help="Size of a minibatch.")
+@click.option("--rate", default=3e-4, show_default=True, help="Learning rate.")
+@click.option("--seed", default=0, show_default=True, help="Root seed.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), default="ppo.onnx", show_default=True,
+    help="ONNX file to write.",
+)  # fmt: skip
+def main(
+    steps: int, lanes: int, horizon: int, batch: int, rate: float, seed: int, out: Path
+) -> None:
+    """Train an agent of Guidance-v1 and write it to an ONNX file."""
+    torch.manual_seed(seed)
+    torch.set_num_threads(1)
+    env = gymnasium.make_vec(
+        ENV, num_envs=lanes, vectorization_mode="vector_entry_point", autoreset_mode="SameStep"
+    )
+    inputs, size = env.single_observation_space.shape[0], env.single_action_space.shape[0]
+    agent = Agent(inputs, size)
+    optimiser = torch.optim.Adam(agent.parameters(), lr=rate, eps=1e-5)
+    seen = torch.from_numpy(env.reset(seed=seed)[0])
+    started, safe = time.perf_counter(), [False]
+    for n in range(-(-steps // (lanes * horizon))):
+        observations = torch.zeros(horizon, lanes, inputs)
+        actions = torch.zeros(horizon, lanes, size)
+        rewards, ends, chances = torch.zeros(3, horizon, lanes)
+        for k in range(horizon):
+            with torch.no_grad():
+                policy = agent.policy(seen)
+                action = policy.sample()
+            observations[k], actions[k] = seen, action
+            chances[k] = policy.log_prob(action).sum(1)
+            shown, reward, ended, _, info = env.step(np.clip(action.numpy(), -1.0, 1.0))
+            seen = torch.from_numpy(shown)
+            rewards[k], ends[k] = torch.from_numpy(reward), torch.from_numpy(ended)
+            if ended.any():
+                safe.extend(info["final_info"]["safe"][ended].tolist())
+        with torch.no_grad():
+            values = agent.value(torch.cat((observations, seen[None])))[..., 0]
+        gains = advantages(rewards, values, ends)
+        whole = [observations, actions, chances, gains, gains + values[:-1]]
+        update(agent, optimiser, [one.flatten(0, 1) for one in whole], batch)
+        if n % 20 == 19:
+            done, spent = (n + 1) * lanes * horizon, time.perf_counter() - started
+            click.echo(
+                f"{done:9d} steps, {done / spent:6.0f} steps/s, "
+                f"safe in the last 500 flights: {np.mean(safe[-500:]):.3f}"
+            )
+    example = (torch.zeros(1, inputs),)
+    torch.onnx.export(agent.mean, example, str(out), input_names=["observation"], verbose=False,
+                      external_data=False)  # fmt: skip
+    click.echo(f"written: {out}")
+
+
+if __name__ == "__main__":
+    main()
