@@ -282,7 +282,7 @@ def _with_tables(docstring: str, space: gymnasium.Space[Any]) -> str:
 
 
 def write_films() -> None:
-    """Write a film of each environment, with a frame per second, to docs/images/environments."""
+    """Write films with a frame per second to docs/images/environments."""
     for name, (agent, steps) in _FILMS.items():
         env = gymnasium.make(f"lunarsim/{name}", render_mode="rgb_array", max_episode_steps=10_000)
         flies = agent_of(agent, env)

@@ -33,7 +33,7 @@ def network(inputs: int, outputs: int, gain: float) -> nn.Sequential:
     return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
 
 
-class Agent(nn.Module):
+class ActorCritic(nn.Module):
     """Normal policy with a constant standard deviation, and a value network."""
 
     def __init__(self, inputs: int, actions: int) -> None:
@@ -62,7 +62,7 @@ def advantages(rewards: torch.Tensor, values: torch.Tensor, ends: torch.Tensor) 
 
 
 def update(
-    agent: Agent, optimiser: torch.optim.Optimizer, data: list[torch.Tensor], batch: int
+    agent: ActorCritic, optimiser: torch.optim.Optimizer, data: list[torch.Tensor], batch: int
 ) -> None:
     """Improve the agent on one rollout.
 
@@ -90,7 +90,7 @@ def update(
 @click.option("--lanes", default=64, show_default=True, help="Number of parallel flights.")
 @click.option("--horizon", default=128, show_default=True, help="Steps between two updates.")
 @click.option("--batch", default=512, show_default=True, help="Size of a minibatch.")
-@click.option("--rate", default=3e-4, show_default=True, help="Learning rate.")
+@click.option("--rate", default=3e-4, show_default=True, help="First learning rate; it decreases linearly.")
 @click.option("--seed", default=0, show_default=True, help="Root seed.")
 @click.option(
     "--out", type=click.Path(path_type=Path), default="ppo.onnx", show_default=True,
@@ -106,11 +106,13 @@ def main(
         ENV, num_envs=lanes, vectorization_mode="vector_entry_point", autoreset_mode="SameStep"
     )
     inputs, size = env.single_observation_space.shape[0], env.single_action_space.shape[0]
-    agent = Agent(inputs, size)
+    agent = ActorCritic(inputs, size)
     optimiser = torch.optim.Adam(agent.parameters(), lr=rate, eps=1e-5)
     seen = torch.from_numpy(env.reset(seed=seed)[0])
     started, safe = time.perf_counter(), [False]
-    for n in range(-(-steps // (lanes * horizon))):
+    updates = -(-steps // (lanes * horizon))
+    for n in range(updates):
+        optimiser.param_groups[0]["lr"] = rate * (1.0 - n / updates)
         observations = torch.zeros(horizon, lanes, inputs)
         actions = torch.zeros(horizon, lanes, size)
         rewards, ends, chances = torch.zeros(3, horizon, lanes)
@@ -128,8 +130,8 @@ def main(
         with torch.no_grad():
             values = agent.value(torch.cat((observations, seen[None])))[..., 0]
         gains = advantages(rewards, values, ends)
-        whole = [observations, actions, chances, gains, gains + values[:-1]]
-        update(agent, optimiser, [one.flatten(0, 1) for one in whole], batch)
+        rollout = [observations, actions, chances, gains, gains + values[:-1]]
+        update(agent, optimiser, [one.flatten(0, 1) for one in rollout], batch)
         if n % 20 == 19:
             done, spent = (n + 1) * lanes * horizon, time.perf_counter() - started
             click.echo(
