@@ -232,19 +232,20 @@ def test_successive_velocity_updates_do_not_inform_on_tilt():
     assert state.covariance[9:12, 9:12] == pytest.approx(before, rel=1e-3, abs=1e-8)
 
 
-def test_terrain_variance_adds_to_range_noise():
+def test_a_slanted_range_has_the_terrain_variance_along_the_beam():
+    """A height error dh at the footprint changes the range by dh over the cosine of the beam."""
     t, rough = Truth(5), Truth(5)
-    far = t.range(BEAMS[0], 0.0) + 3.0
-    plain = update_with_range(t.state, far, 0.5, BEAMS[0], 0.0, block="ground")
+    beam = np.array([np.sin(1.0), 0.0, -np.cos(1.0)])
+    down = -quat_rotate(t.state.inertial.attitude, beam)[2]
+    assert down < 0.7
+    innovation = 3.0
+    far = t.state.inertial.position[2] / down + innovation
+    plain = update_with_range(t.state, far, 0.5, beam, 0.0, block="ground")
     found = update_with_range(
-        rough.state, far, 0.5, BEAMS[0], 0.0, block="ground", terrain_variance=10.0**2
+        rough.state, far, 0.5, beam, 0.0, block="ground", terrain_variance=10.0**2
     )
-    assert found.nis < plain.nis
-    # Both innovations are equal; their variances differ by the terrain variance.
-    assert 1.0 / found.nis - 1.0 / plain.nis > 0.0
-    ratio = (1.0 / found.nis) / (1.0 / plain.nis)
-    variance = 10.0**2 / (ratio - 1.0)
-    assert 0.5**2 < variance < 1e4
+    more = innovation**2 / found.nis - innovation**2 / plain.nis
+    assert more == pytest.approx(10.0**2 / down**2)
     assert np.trace(rough.state.covariance[:3, :3]) > np.trace(t.state.covariance[:3, :3])
 
 

@@ -48,7 +48,7 @@ def update_with_range(
     index
         Index of the correction in that block.
     terrain_variance
-        Variance added to that of the range, for the terrain height at the footprint, m^2.
+        Variance of the terrain height at the footprint, m^2.
     gate
         Maximum normalised innovation squared; a larger one is rejected.
     """
@@ -74,5 +74,5 @@ def update_with_range(
         jacobian = np.append(jacobian, 1.0 / down)
         columns = np.append(columns, state.block(MAP).start + 2)
     return state.measure(
-        jacobian, columns, distance + height / down, [sigma**2 + terrain_variance], gate
+        jacobian, columns, distance + height / down, [sigma**2 + terrain_variance / down**2], gate
     )
