@@ -90,7 +90,7 @@ def update(
 @click.option("--lanes", default=64, show_default=True, help="Number of parallel flights.")
 @click.option("--horizon", default=128, show_default=True, help="Steps between two updates.")
 @click.option("--batch", default=512, show_default=True, help="Size of a minibatch.")
-@click.option("--rate", default=3e-4, show_default=True, help="Initial learning rate.")
+@click.option("--rate", default=1e-3, show_default=True, help="Initial learning rate.")
 @click.option("--seed", default=0, show_default=True, help="Root seed.")
 @click.option(
     "--out", type=click.Path(path_type=Path), default="ppo.onnx", show_default=True,

@@ -91,14 +91,13 @@ def _check_supported(scenario: Scenario, guidance: Any) -> None:
             raise InputError(
                 table, None, "must be omitted for this perception", remedy, show_value=False
             )
-    if not scenario.approach.make().has_free_time_to_go:
+    approach = scenario.approach.make()
+    if not approach.has_free_time_to_go:
+        key = "approach.jerk_m_s3" if approach.time_to_go is None else "approach.time_to_go_s"
         raise InputError(
-            "approach.time_to_go_s",
-            None,
-            "must be omitted for this perception",
-            "Otherwise use perception='onboard'.",
-            show_value=False,
-        )
+            key, None, "must be omitted for this perception",
+            "Otherwise use perception='onboard'.", show_value=False,
+        )  # fmt: skip
 
 
 class SiteDescentBatch(DescentBatch):
