@@ -120,6 +120,6 @@ def test_an_action_that_is_none_is_refused_and_changes_nothing(made, action):
 @pytest.mark.parametrize("key", ["approach.time_to_go_s", "approach.jerk_m_s3"])
 def test_kernels_name_the_key_that_fixes_the_time_to_go(key):
     changes = {key: 30.0 if key.endswith("_s") else 0.001}
-    changes["approach.arrival_velocity_m_s"] = [1.0, 0.0, -1.0]
+    changes["approach.arrival_velocity_m_s"] = [1.0, -1.0]
     with pytest.raises(InputError, match=f"{key}: must be omitted for this perception"):
         RetargetEnv(perception="truth", changes=changes)

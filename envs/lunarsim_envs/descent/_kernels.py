@@ -15,7 +15,7 @@ from lunarsim.core.touchdown import (
     has_contact,
     height_at,
 )
-from lunarsim.onboard.control._kernels import thrust_attitude
+from lunarsim.onboard.control._kernels import limited_thrust_attitude
 from lunarsim.vehicle._kernels import advance_bodies
 from lunarsim_envs.descent import _loop_kernels as loop
 
@@ -292,7 +292,7 @@ def _set_command(states, loop_state, n, action, guided, control, heading, payloa
     nominal mass, without the unknown `payload`, kg. `attitude` (4,) is scratch.
     """
     if guided:
-        loop_state[loop.THRUST, n] = thrust_attitude(
+        loop_state[loop.THRUST, n] = limited_thrust_attitude(
             action, states[13, n] - payload, control[0], control[1], heading, control[2], attitude
         )
         for k in range(4):

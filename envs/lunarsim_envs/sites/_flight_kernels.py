@@ -21,7 +21,7 @@ from lunarsim.core.guidance import (
     vertical_descent_command,
 )
 from lunarsim.core.path_cost import power_terms
-from lunarsim.onboard.control._kernels import thrust_attitude
+from lunarsim.onboard.control._kernels import limited_thrust_attitude
 from lunarsim_envs.descent import _kernels as d
 
 # Events that stop a lane: none, a scan, a decision.
@@ -292,7 +292,7 @@ def begin(
         # Start with the attitude and the thrust that guidance commands.
         if compute_command(i, y[i], 0.0, guidance, law, command, scratch):
             _extend_time_to_go(i, y[i], 0.0, guidance, law)
-        y[i, 14] = thrust_attitude(
+        y[i, 14] = limited_thrust_attitude(
             command, y[i, 13], control[0], control[1], heading, control[2], attitude
         )
         for k in range(4):

@@ -73,7 +73,9 @@ def replay(state, target, gains, inertia, torque_max, increments, step):
 
 
 @kernel()
-def thrust_attitude(acceleration, mass, thrust_min, thrust_max, heading, max_tilt, attitude):
+def limited_thrust_attitude(
+    acceleration, mass, thrust_min, thrust_max, heading, max_tilt, attitude
+):
     """Write the attitude (4,) for a thrust acceleration (3,); return the thrust, N.
 
     The acceleration is in ENU, m/s^2, `mass` in kg, and `heading` is the azimuth of body x, rad.

@@ -38,7 +38,7 @@ def thrust_to_command(
         Maximum tilt of the thrust from the vertical, rad.
     """
     attitude = np.empty(4)
-    thrust = k.thrust_attitude(
+    thrust = k.limited_thrust_attitude(
         np.ascontiguousarray(acceleration, dtype=np.float64), mass, lander.thrust_min,
         lander.thrust_max, heading, max_tilt, attitude,
     )  # fmt: skip
