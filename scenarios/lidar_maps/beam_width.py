@@ -16,17 +16,16 @@ from typing import Any
 import click
 import numpy as np
 from rich.table import Table
+from worlds import scan_from_above
 
 from lunarsim import Grid, Heightfield, Terrain, site_safety
-from lunarsim.api import Estimate, HazardMap, Lander, State
-from lunarsim.frames import sensor_axes
+from lunarsim.api import HazardMap, Lander
 from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.rocks.size_distribution import sample_diameters
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.studies import Case, Report, Study, run_script
-from lunarsim.world import World
 from lunarsim.world.terrain import fractal_relief, place_rocks
 
 # RMS slope of the relief, deg, and rock cover of each world; they repeat.
@@ -35,7 +34,6 @@ DISTANCES = (100.0, 200.0, 300.0, 500.0)
 DIVERGENCES_MRAD = (0.0, 0.2, 0.4, 0.8, 1.5, 3.0)
 SIDE, REACH = 40.0, 3.2
 GRID = Grid.centred((0.0, 0.0), SIDE, 0.2)
-UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 LANDER = Lander()
 
 
@@ -60,15 +58,11 @@ def map_of(
     # From 100 m, the field of view is doubled, so that it covers the map.
     wide = 2 if distance < 200.0 else 1
     lidar = FlashLidar(256 * wide, 256 * wide, 0.1 * wide, divergence=mrad * 1e-3)
-    position = np.array([0.0, 0.0, float(terrain.elevation(np.zeros(2))) + distance])
-    state = State(position, np.zeros(3), UPRIGHT, np.zeros(3), 1.0)
-    rng, mount = np.random.default_rng(seed), sensor_axes(np.array([0.0, 0.0, -1.0]))
-    scan = lidar.measure(World(terrain, 1.622), state, 0.0, rng, mount)
+    rng = np.random.default_rng(seed)
+    scan, pose = scan_from_above(terrain, lidar, distance, rng)
     lost = rng.random(scan.range.size) < loss
     rocks, ratio = replace(RockExpectation(), cover=cover), lidar.calibration().beam_ratio
     mapper = GaussianDemMapper(GRID, LANDER, rocks=rocks, beam_ratio=ratio)
-    own = np.diag([1.0] * 6 + [0.0] * 3)
-    pose = Estimate(0.0, position, np.zeros(3), UPRIGHT, np.zeros(3), 1.0, own)
     mapper.update(replace(scan, range=np.where(lost, np.nan, scan.range)), pose)
     return mapper.hazard_map()
 

@@ -14,16 +14,15 @@ from typing import Any
 
 import numpy as np
 from rich.table import Table
+from worlds import UPRIGHT, scan_from_above
 
 from lunarsim import Grid, Terrain, site_safety
-from lunarsim.api import Estimate, Lander, State
-from lunarsim.frames import sensor_axes
+from lunarsim.api import Lander
 from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.rocks.size_distribution import sample_diameters
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.studies import Case, PatchPrior, Report, Study, posterior_safety, run_script
-from lunarsim.world import World
 from lunarsim.world.terrain import fractal_relief, place_rocks
 
 # RMS slopes of the relief, deg, and rock covers; each world draws one of each.
@@ -34,7 +33,6 @@ SITES = 5
 EDGE_M = 3.5  # distance of sites from the edge of the map
 MAX_DIAMETER_M = 2.0
 CLAIM_P = 0.95
-UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 LANDER = Lander()
 
 
@@ -56,19 +54,14 @@ def measure(case: Case) -> list[dict[str, Any]]:
     """Return one row for each distance and random site of one world."""
     prior, terrain = draw_world(case)
     expected, rows = RockExpectation(cover=prior.cover), []
-    own = np.diag([1.0] * 6 + [0.0] * 3)
     for distance in DISTANCES:
         rng = np.random.default_rng([case.seed, case.number, int(distance)])
         lidar = FlashLidar(256, 256, max(0.1, 0.5 * SIDE / distance))
-        position = np.array([0.0, 0.0, float(terrain.elevation(np.zeros(2))) + distance])
-        state = State(position, np.zeros(3), UPRIGHT, np.zeros(3), 1.0)
-        mount = sensor_axes(np.array([0.0, 0.0, -1.0]))
-        scan = lidar.measure(World(terrain, 1.622), state, 0.0, rng, mount)
+        scan, pose = scan_from_above(terrain, lidar, distance, rng)
         mapper = GaussianDemMapper(Grid.centred((0.0, 0.0), SIDE, 0.2), LANDER, rocks=expected)
-        pose = Estimate(0.0, position, np.zeros(3), UPRIGHT, np.zeros(3), 1.0, own)
         mapper.update(scan, pose)
         hazards = mapper.hazard_map()
-        points, sigma = scan.points(position, UPRIGHT), scan.height_sigma(UPRIGHT)
+        points, sigma = scan.points(pose.position, UPRIGHT), scan.height_sigma(UPRIGHT)
         grid = hazards.grid
         inner = np.nonzero((np.abs(grid.centres()) < 0.5 * SIDE - EDGE_M).all(axis=-1).ravel())[0]
         for cell in rng.choice(inner, SITES, replace=False):

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from lunarsim import Grid, Heightfield, Terrain
-from lunarsim.api import Lander, LidarScan, State
+from lunarsim.api import Estimate, Lander, LidarScan, State
 from lunarsim.frames import sensor_axes
 from lunarsim.rocks.field import RockField, RockModel
 from lunarsim.rocks.size_distribution import sample_diameters
@@ -104,6 +104,22 @@ class LidarScene:
         aim = np.array([0.0, 0.0, level]) - position
         world = World(terrain, 1.622)
         return lidar.measure(world, state, 0.0, self.rng(3), sensor_axes(aim)), position
+
+
+def scan_from_above(
+    terrain: Terrain, lidar: FlashLidar, distance: float, rng: np.random.Generator
+) -> tuple[LidarScan, Estimate]:
+    """Simulate a scan from vertically above the map center; return it and the estimated pose.
+
+    `distance` is the height above the terrain, m. The standard deviations of the estimate are 1 m
+    and 1 m/s, without attitude errors.
+    """
+    position = np.array([0.0, 0.0, float(terrain.elevation(np.zeros(2))) + distance])
+    state = State(position, np.zeros(3), UPRIGHT, np.zeros(3), 1.0)
+    mount = sensor_axes(np.array([0.0, 0.0, -1.0]))
+    scan = lidar.measure(World(terrain, 1.622), state, 0.0, rng, mount)
+    own = np.diag([1.0] * 6 + [0.0] * 3)
+    return scan, Estimate(0.0, position, np.zeros(3), UPRIGHT, np.zeros(3), 1.0, own)
 
 
 def relief(name: str, seed: int) -> Heightfield:
