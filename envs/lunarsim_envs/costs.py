@@ -33,7 +33,8 @@ class StateCosts:
     - ``tilt``: ``approach.max_tilt_deg``.
     - ``rate``: largest component of the angular rate; ``control.slew_limit_deg_s``.
     - ``glideslope``: missing height below the cone of ``approach.glideslope_deg`` about the target,
-      over the height of the cone, at most 1; 0 within 10 m of the target.
+      over the height of the cone, at most 1; 0 within 10 m of the target. In ``Retarget-v1`` it is
+      that of the estimated position.
     - ``reserve``: missing propellant below ``approach.reserve_kg``.
 
     ``hazard`` is 1 - p_safe of the current site, and 1 if the site was not observed; it is 0 in
@@ -81,6 +82,8 @@ class StateCosts:
 
 def _checked_names(names: Sequence[str]) -> tuple[str, ...]:
     """Check that `names` are costs, each given once, and return them."""
+    if not isinstance(names, Sequence):
+        raise InputError("costs", names, f"must be a list of names: {', '.join(COSTS)}")
     listed = [names] if isinstance(names, str) else list(names)
     for i, name in enumerate(listed):
         if name not in COSTS:
@@ -104,8 +107,9 @@ class CostWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
     """Return a cost from `step`, as environments of Safety-Gymnasium do.
 
     `step` returns observation, reward, cost, terminated, truncated and info. The cost is the sum of
-    the selected costs after the step; ``info["costs"]`` has all of them by name: ``unsafe`` (1 at
-    the end of an episode without a safe landing, otherwise 0) and those of `StateCosts`.
+    the selected costs after the step; ``info["costs"]`` has all of them by name: ``unsafe`` (1 if
+    the episode ends or is truncated without a safe landing, otherwise 0) and those of `StateCosts`.
+    The wrapper must be the outermost one, because other wrappers expect five values from `step`.
 
     Parameters
     ----------
@@ -113,6 +117,11 @@ class CostWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         ``Guidance-v1``, ``Control-v1`` or ``Retarget-v1``, possibly with wrappers.
     costs
         Names of the costs to add.
+
+    Attributes
+    ----------
+    limits
+        Limits of the costs, `StateCosts`.
 
     Raises
     ------
@@ -125,9 +134,9 @@ class CostWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         self.names = _checked_names(costs)
         inner = env.unwrapped
         if isinstance(inner, DescentEnv):
-            self._limits = StateCosts(inner.descents.scenario)
+            self.limits = StateCosts(inner.descents.scenario)
         elif isinstance(inner, RetargetEnv):
-            self._limits = StateCosts(inner.scenario)
+            self.limits = StateCosts(inner.scenario)
         else:
             raise InputError("env", type(inner).__name__, "is not an environment of lunarsim_envs")
 
@@ -135,22 +144,24 @@ class CostWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         """Return the costs (1,) of the current state by name, without ``unsafe``."""
         inner = self.env.unwrapped
         if isinstance(inner, DescentEnv):
-            return _batch_costs(self._limits, inner.descents.lanes)
+            return _batch_costs(self.limits, inner.descents.lanes)
         assert isinstance(inner, RetargetEnv)
         if isinstance(inner.flight, KernelFlight):
-            return _batch_costs(self._limits, inner.flight.lanes)
+            return _batch_costs(self.limits, inner.flight.lanes)
         assert inner.simulation is not None
         seen, state = inner.flight.inputs, inner.simulation.state
         left = np.array([state.mass - inner.simulation.lander.dry_mass])
-        return self._limits.of(
+        return self.limits.of(
             seen.position - seen.site, state.attitude[None], state.rate[None], left, seen.here[:, 0]
         )
 
     def step(self, action: Any) -> Any:
         """Fly one step; return observation, reward, cost, terminated, truncated and info."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        costs = {"unsafe": float(info["cost"])}
-        costs |= {name: float(value[0]) for name, value in self._state_costs().items()}
+        costs = dict.fromkeys(COSTS, 0.0)
+        if "cost" in info:  # not in the step of an automatic reset
+            costs["unsafe"] = float((terminated or truncated) and not info.get("safe", False))
+            costs |= {name: float(value[0]) for name, value in self._state_costs().items()}
         info["costs"] = costs
         cost = sum(costs[name] for name in self.names)
         return observation, reward, cost, terminated, truncated, info
@@ -170,6 +181,11 @@ class VectorCostWrapper(gymnasium.vector.VectorWrapper):
     costs
         Names of the costs to add.
 
+    Attributes
+    ----------
+    limits
+        Limits of the costs, `StateCosts`.
+
     Raises
     ------
     InputError
@@ -185,9 +201,9 @@ class VectorCostWrapper(gymnasium.vector.VectorWrapper):
         inner = env.unwrapped
         if isinstance(inner, DescentVectorEnv):
             self._lanes: DescentBatch = inner.descents.lanes
-            self._limits = StateCosts(inner.descents.scenario)
+            self.limits = StateCosts(inner.descents.scenario)
         elif isinstance(inner, RetargetVectorEnv):
-            self._lanes, self._limits = inner.lanes, StateCosts(inner.scenario)
+            self._lanes, self.limits = inner.lanes, StateCosts(inner.scenario)
         else:
             name = type(inner).__name__
             raise InputError("env", name, "is not a vector environment of lunarsim_envs")
@@ -201,8 +217,9 @@ class VectorCostWrapper(gymnasium.vector.VectorWrapper):
         """
         observations, rewards, terminated, truncated, info = self.env.step(actions)
         moved: BoolArray = info["_cost"]
-        states = _batch_costs(self._limits, self._lanes)
-        costs = {"unsafe": info["cost"]} | states
+        states = _batch_costs(self.limits, self._lanes)
+        safe = info.get("safe", np.zeros(len(moved), np.bool_))
+        costs = {"unsafe": (terminated | truncated) & ~safe} | states
         costs = {name: np.where(moved, value, 0.0) for name, value in costs.items()}
         info |= {"costs": costs, "_costs": moved}
         total = np.sum([costs[name] for name in self.names], axis=0)

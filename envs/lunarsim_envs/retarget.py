@@ -237,9 +237,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     - ``num_envs``, ``autoreset_mode``, ``max_episode_steps``, ``rendered`` with
       ``gymnasium.make_vec(..., vectorization_mode="vector_entry_point")``: number of flights in
       kernels; "NextStep", "SameStep" or "Disabled"; number of steps until truncation; environments
-      whose frames
-      ``render`` returns with ``render_mode="rgb_array"`` (default: the first one). Environment i
-      with seed s gives the same episodes as a single environment with seed s + i.
+      whose frames ``render`` returns with ``render_mode="rgb_array"`` (default: the first one).
+      Environment i with seed s gives the same episodes as a single environment with seed s + i.
 
     ## Version History
 

@@ -198,7 +198,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         decisions = self.actions.decisions(chosen, self.inputs)
         lanes.decide(decisions.site, moved, decisions.time_scale)
         self._shrink(lanes.mapped)
-        self._renderer.note(moved)
+        self._renderer.add_positions(moved)
         terminated = moved & (lanes.ended != FLYING)
         terms = self._terms(moved, terminated, decisions.invalid)
         rewards = sum_terms(terms)

@@ -20,14 +20,17 @@ import torch
 from torch import nn
 from torch.distributions import Normal
 
+from lunarsim.errors import check_output
+
 ENV = "lunarsim_envs:lunarsim/Guidance-v1"
+ONE_OR_MORE = click.IntRange(min=1)
 GAMMA, LAMBDA, CLIP, EPOCHS, ENTROPY, VALUE, MAX_GRADIENT = 0.99, 0.95, 0.2, 10, 0.0, 0.5, 0.5
 
 
-def network(inputs: int, outputs: int, gain: float) -> nn.Sequential:
+def network(inputs: int, outputs: int, last: float) -> nn.Sequential:
     """Return a network with two hidden layers of 64 units and orthogonal weights."""
     layers = [nn.Linear(inputs, 64), nn.Linear(64, 64), nn.Linear(64, outputs)]
-    for layer, size in zip(layers, (2**0.5, 2**0.5, gain), strict=True):
+    for layer, size in zip(layers, (2**0.5, 2**0.5, last), strict=True):
         nn.init.orthogonal_(layer.weight, size)
         nn.init.zeros_(layer.bias)
     return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
@@ -74,7 +77,7 @@ def update(
             seen, actions, before, gain, returns = (one[chosen] for one in data)
             policy = agent.policy(seen)
             ratio = (policy.log_prob(actions).sum(1) - before).exp()
-            gain = (gain - gain.mean()) / (gain.std() + 1e-8)
+            gain = (gain - gain.mean()) / (gain.std(correction=0) + 1e-8)
             policy_loss = -torch.min(gain * ratio, gain * ratio.clamp(1 - CLIP, 1 + CLIP)).mean()
             value_loss = (agent.value(seen)[:, 0] - returns).square().mean()
             entropy = policy.entropy().sum(1).mean()
@@ -86,10 +89,18 @@ def update(
 
 
 @click.command()
-@click.option("--steps", default=3_000_000, show_default=True, help="Total number of steps.")
-@click.option("--lanes", default=64, show_default=True, help="Number of parallel flights.")
-@click.option("--horizon", default=128, show_default=True, help="Steps between two updates.")
-@click.option("--batch", default=512, show_default=True, help="Size of a minibatch.")
+@click.option(
+    "--steps", type=ONE_OR_MORE, default=3_000_000, show_default=True, help="Total number of steps."
+)
+@click.option(
+    "--lanes", type=ONE_OR_MORE, default=64, show_default=True, help="Number of parallel flights."
+)
+@click.option(
+    "--horizon", type=ONE_OR_MORE, default=128, show_default=True, help="Steps between two updates."
+)
+@click.option(
+    "--batch", type=ONE_OR_MORE, default=512, show_default=True, help="Size of a minibatch."
+)
 @click.option("--rate", default=1e-3, show_default=True, help="Initial learning rate.")
 @click.option("--seed", default=0, show_default=True, help="Root seed.")
 @click.option(
@@ -100,6 +111,7 @@ def main(
     steps: int, lanes: int, horizon: int, batch: int, rate: float, seed: int, out: Path
 ) -> None:
     """Train an agent of Guidance-v1 and write it to an ONNX file."""
+    check_output("--out", out, ".onnx")
     torch.manual_seed(seed)
     torch.set_num_threads(1)
     env = gymnasium.make_vec(
@@ -115,13 +127,13 @@ def main(
         optimiser.param_groups[0]["lr"] = rate * (1.0 - n / updates)
         observations = torch.zeros(horizon, lanes, inputs)
         actions = torch.zeros(horizon, lanes, size)
-        rewards, ends, chances = torch.zeros(3, horizon, lanes)
+        rewards, ends, log_probs = torch.zeros(3, horizon, lanes)
         for k in range(horizon):
             with torch.no_grad():
                 policy = agent.policy(seen)
                 action = policy.sample()
             observations[k], actions[k] = seen, action
-            chances[k] = policy.log_prob(action).sum(1)
+            log_probs[k] = policy.log_prob(action).sum(1)
             shown, reward, ended, _, info = env.step(np.clip(action.numpy(), -1.0, 1.0))
             seen = torch.from_numpy(shown)
             rewards[k], ends[k] = torch.from_numpy(reward), torch.from_numpy(ended)
@@ -130,7 +142,7 @@ def main(
         with torch.no_grad():
             values = agent.value(torch.cat((observations, seen[None])))[..., 0]
         gains = advantages(rewards, values, ends)
-        rollout = [observations, actions, chances, gains, gains + values[:-1]]
+        rollout = [observations, actions, log_probs, gains, gains + values[:-1]]
         update(agent, optimiser, [one.flatten(0, 1) for one in rollout], batch)
         if n % 20 == 19:
             done, spent = (n + 1) * lanes * horizon, time.perf_counter() - started

@@ -52,6 +52,9 @@ def test_arguments_that_are_none_are_refused(kind, more, arguments, says):
         (GuidanceVectorEnv, {"render_mode": "human"}, "render_mode"),
         (GuidanceVectorEnv, {"num_envs": 2, "rendered": [0, 2]}, "below num_envs"),
         (GuidanceVectorEnv, {"num_envs": 2, "rendered": [0.5]}, "rendered"),
+        (GuidanceVectorEnv, {"num_envs": 2, "rendered": 1}, "rendered"),
+        (GuidanceVectorEnv, {"num_envs": 2, "rendered": []}, "one or more"),
+        (RetargetVectorEnv, {"num_envs": 2, "rendered": [1, 1]}, "each given once"),
     ]
     + [(RetargetVectorEnv, {"num_envs": n}, "num_envs") for n in (0, -1, 1.5, "a", True)],
     ids=str,

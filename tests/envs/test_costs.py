@@ -139,18 +139,68 @@ def test_costs_of_a_descent_are_those_of_its_observation():
     assert all(seen[name] > 0.1 for name in COSTS if name != "hazard")
 
 
-def test_costs_of_the_full_simulation_are_those_of_its_state():
-    env = CostWrapper(
-        gymnasium.make(ID + "Retarget-v1", scenario=SMALL, perception="onboard"), ["hazard"]
-    )
-    env.reset(seed=1)
-    simulation = env.unwrapped.simulation
-    for _ in range(3):
-        _, _, cost, _, _, info = env.step(0)
-        here = simulation.computer.observe().site_p_safe
-        assert cost == (1.0 if np.isnan(here) else 1.0 - here)
-        assert info["costs"]["reserve"] == 0.0 == info["costs"]["unsafe"]
+@pytest.mark.parametrize("perception", ["onboard", "truth"])
+def test_costs_of_site_decisions_are_those_of_the_flight(perception):
+    """With limits that every flight exceeds; after a divert about the new site."""
+    settings = {"scenario": SMALL, "perception": perception, "worlds": 1}
+    env = CostWrapper(gymnasium.make(ID + "Retarget-v1", **settings), ["hazard"])
+    env.limits.max_tilt, env.limits.max_rate, env.limits.reserve = 1e-3, 1e-6, 1e4
+    env.limits.slope = 50.0
+    observation, info = env.reset(seed=1)
+    flight, moved = env.unwrapped.flight, False
+    for _ in range(6):
+        free = np.flatnonzero(info["action_mask"][1:])
+        action = 1 + int(free[-1]) if len(free) and not moved else 0
+        moved = moved or action > 0
+        observation, _, cost, over, _, info = env.step(action)
+        if over:
+            break
+        if perception == "onboard":
+            state, dry = env.unwrapped.simulation.state, env.unwrapped.simulation.lander.dry_mass
+            attitude, rate, left = state.attitude, state.rate, state.mass - dry
+        else:
+            y = flight.lanes.y[0]
+            attitude, rate, left = (
+                y[6:10],
+                y[10:13],
+                y[13] - env.unwrapped.scenario.vehicle.make().dry_mass,
+            )
+        inputs, costs = flight.inputs, info["costs"]
+        offset = (inputs.position - inputs.site)[0]
+        cone = 50.0 * (np.hypot(*offset[:2]) - 10.0)
+        height = offset[2] - env.limits.com_height
+        here = flight.inputs.here[0, 0]
+        assert cost == costs["hazard"] == (1.0 if np.isnan(here) else 1.0 - here)
+        assert costs["glideslope"] == pytest.approx(1.0 - height / cone)
+        tilt = np.arccos(1.0 - 2.0 * (attitude[0] ** 2 + attitude[1] ** 2))
+        assert costs["tilt"] == pytest.approx(tilt / 1e-3 - 1.0)
+        assert costs["rate"] == pytest.approx(np.abs(rate).max() / 1e-6 - 1.0)
+        assert costs["reserve"] == pytest.approx(1.0 - left / 1e4)
+    assert moved
     env.close()
+
+
+def test_a_truncated_flight_is_unsafe():
+    env = CostWrapper(gymnasium.make(ID + "Guidance-v1", max_episode_steps=2))
+    env.reset(seed=1)
+    assert [env.step([0.0, 0.0, 0.1])[2] for _ in range(2)] == [0.0, 1.0]
+    many = gymnasium.make_vec(
+        ID + "Guidance-v1", num_envs=2, vectorization_mode="vector_entry_point",
+        max_episode_steps=2,
+    )  # fmt: skip
+    batch = VectorCostWrapper(many)
+    batch.reset(seed=1)
+    costs = [batch.step(np.full((2, 3), 0.1))[2].tolist() for _ in range(3)]
+    assert costs == [[0.0, 0.0], [1.0, 1.0], [0.0, 0.0]]
+
+
+def test_the_step_of_an_automatic_reset_costs_nothing():
+    inner = gymnasium.make(ID + "Guidance-v1", max_episode_steps=1)
+    env = CostWrapper(gymnasium.wrappers.Autoreset(inner), COSTS)
+    env.reset(seed=1)
+    steps = [env.step([0.0, 0.0, 0.1]) for _ in range(2)]
+    assert steps[0][2] == 1.0
+    assert steps[1][5]["costs"] == dict.fromkeys(COSTS, 0.0)
 
 
 def test_wrong_arguments_are_refused():
@@ -159,6 +209,8 @@ def test_wrong_arguments_are_refused():
         CostWrapper(env, ["unsafe", "tilts"])
     with pytest.raises(InputError, match="one or more names"):
         CostWrapper(env, [])
+    with pytest.raises(InputError, match="must be a list of names"):
+        CostWrapper(env, 3)
     with pytest.raises(InputError, match="one or more names"):
         CostWrapper(env, ["tilt", "tilt"])
     with pytest.raises(InputError, match="not an environment of lunarsim_envs"):

@@ -76,16 +76,38 @@ def test_a_frame_shows_map_candidates_site_and_lander():
     cells = lanes.maps.p.shape[1]
     rows, cols = np.nonzero((chart[26:] == (255, 64, 64)).all(axis=2))
     site = (lanes.guidance.site[0, :2] - lanes.maps.corner[0]) / lanes.maps.posting + 0.5
-    assert cols.mean() == pytest.approx(site[0] * 440.0 / cells, abs=2.0)
-    assert rows.mean() + 26 == pytest.approx(440.0 - site[1] * 440.0 / cells, abs=2.0)
+    scale = 414.0 / cells  # pixels per cell; the legend has 26 rows
+    assert cols.mean() == pytest.approx(site[0] * scale, abs=2.0)
+    assert rows.mean() + 26 == pytest.approx(440.0 - site[1] * scale, abs=2.0)
+    reached = np.isfinite(lanes.candidates.propellant[0, : lanes.candidates.number[0]])
+    for colour, is_drawn in (((0, 220, 255), reached.any()), ((150, 150, 150), ~reached.all())):
+        assert (chart == colour).all(axis=2).any() == is_drawn
     # Bright cells are safe, dark ones unsafe, and cells that are not observed grey; rings and
     # letters cover a few of them.
     found = []
-    for row, col in np.random.default_rng(1).integers(0, cells - 10, (300, 2)):
-        y, x = round(440.0 - (row + 0.5) * 440.0 / cells), round((col + 0.5) * 440.0 / cells)
+    for row, col in np.random.default_rng(1).integers(0, cells - 1, (300, 2)):
+        y, x = round(440.0 - (row + 0.5) * scale), round((col + 0.5) * scale)
         pixel = chart[y, x].astype(int)
         if not lanes.maps.seen[0, row, col]:
             found.append(pixel.tolist() == [60, 60, 66])
         else:
             found.append((pixel.sum() > 350) == (lanes.maps.p[0, row, col] > 0.5))
     assert np.mean(found) > 0.9
+
+
+def test_the_triangle_is_where_the_lander_is_estimated():
+    """Without a divert the lander ends above its site; on the way it is outside of the map."""
+    env = gymnasium.make(ID + "Retarget-v1", render_mode="rgb_array", **SITES).unwrapped
+    env.reset(seed=1)
+    lanes, over = env.flight.lanes, False
+    while not over:
+        over = env.step(0)[2]
+    scale = 414.0 / lanes.maps.p.shape[1]
+    place = lanes.estimated_state[0][0, :2]
+    col, row = ((place - lanes.maps.corner[0]) / lanes.maps.posting + 0.5) * scale
+    rows, cols = np.nonzero((env.render()[26:, 640:] == (255, 255, 255)).all(axis=2))
+    assert cols.mean() == pytest.approx(col, abs=4.0)
+    assert rows.mean() + 26 == pytest.approx(440.0 - row, abs=5.0)
+    lanes.guidance.site[0, :2] += 10.0  # the triangle does not follow the site
+    rows, cols = np.nonzero((env.render()[26:, 640:] == (255, 255, 255)).all(axis=2))
+    assert cols.mean() == pytest.approx(col, abs=4.0)

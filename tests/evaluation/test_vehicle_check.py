@@ -67,7 +67,7 @@ MISDESIGNS = {
     "slow slew (flown)": (
         ("control.slew_limit_deg_s=4",), {"divert-rotation-time", "terminal-loop-delay"}, set(),
     ),
-    "slow attitude loop (flown)": (("control.frequency_rad_s=0.8",), {"touchdown-tilt"}, set()),
+    "slow attitude loop": (("control.frequency_rad_s=0.5",), {"touchdown-tilt"}, set()),
     "bandwidth too high for the torque": (
         ("control.frequency_rad_s=12",), {"control-braking"}, set(),
     ),
@@ -358,15 +358,29 @@ def test_errors_at_touchdown_follow_from_control_and_throttle():
     mass = 1500.0 - row.named("propellant-nominal").required
     expected = 2.0 + 800.0 / (1.5 * mass)
     assert row.named("touchdown-speed").available == pytest.approx(expected, rel=0.01)
-    # 12 deg above 8 m to 2 deg at touchdown; at 2 m/s, a lag of 1.8 / f is 3.6 / f metres.
-    # The command decreases to zero over 2 s; a slower lander has all of this tilt left.
-    slow, slower = (checked("instruments", (f"control.frequency_rad_s={f}",)) for f in (1.5, 0.8))
-    lag, late = 1.2, 2.25
-    tilt = 2.0 + 10.0 * 2.0 * lag / 8.0
-    assert slow.named("touchdown-tilt").available == pytest.approx(tilt * lag / 2.0)
-    assert slow.named("touchdown-rate").available == pytest.approx((tilt + 2.5 * lag) / 2.0)
-    assert slower.named("touchdown-tilt").available == pytest.approx(2.0 + 2.5 * late)
-    assert slower.named("touchdown-rate").available == pytest.approx(2.5)
+
+
+@pytest.mark.parametrize("frequency", [0.3, 0.8, 1.5, 4.0])
+@pytest.mark.parametrize("upright", [0.3, 2.0])
+def test_tilt_and_rate_at_touchdown_are_those_of_a_lag(frequency, upright):
+    """Integrate the lag: 12 deg above 8 m to 2 deg at touchdown, at 2 m/s, then to zero."""
+    checks = checked(
+        "instruments",
+        (f"control.frequency_rad_s={frequency}", 'terminal_descent.kind="vertical"',
+         f"terminal_descent.upright_time_s={upright}"),
+    )  # fmt: skip
+    lag, step, tilt, rate = 1.8 / frequency, 1e-3, 12.0, 0.0
+    for left in np.arange(15.0 * lag, 0.0, -step):
+        command = min(2.0 + 10.0 * 2.0 * left / 8.0, 12.0) * min(left / upright, 1.0)
+        rate = (tilt - command) / lag
+        tilt -= step * rate
+    assert checks.named("touchdown-tilt").available == pytest.approx(tilt, rel=0.01)
+    assert checks.named("touchdown-rate").available == pytest.approx(rate, rel=0.01)
+
+
+def test_a_phase_plane_leaves_its_dead_band_at_touchdown():
+    row = checked("instruments", (*JETS, "control.dead_band_deg=1.5")).named("touchdown-tilt")
+    assert row.available == pytest.approx(2.0 + 1.5)
 
 
 def test_speed_error_of_pulses_is_half_of_their_ripple():

@@ -44,15 +44,21 @@ def export_onnx(
         If a file cannot be used, its statistics are of another observation, or PyTorch or
         Stable-Baselines3 are missing.
     """
-    check_trust(str(path), trust_pickle)
+    try:
+        check_trust(str(path), trust_pickle)
+    except InputError as error:
+        raise error.with_field("agent") from None
     try:
         import onnxscript  # noqa: F401, PLC0415  (torch.onnx needs it)
         import torch  # noqa: PLC0415
     except ImportError as error:
-        raise missing_package("--agent", str(error.name), "rl") from None
-    policy = load_model(path).policy
+        raise missing_package("agent", str(error.name), "rl") from None
+    try:
+        policy = load_model(path).policy
+    except InputError as error:
+        raise error.with_field("agent") from None
     if hasattr(policy, "lstm_actor"):
-        raise InputError("--agent", str(path), "must be a network without memory")
+        raise InputError("agent", str(path), "must be a network without memory")
     space = policy.observation_space
     parts = dict(space.spaces) if isinstance(space, Dict) else {"observation": space}
     scalings = {} if vec_normalize is None else _load_scalings(vec_normalize, parts)
@@ -98,29 +104,35 @@ def export_onnx(
 def _load_scalings(path: Path, parts: dict[str, Any]) -> dict[str, Scaling]:
     """Load the scaling of each component of an observation from a file.
 
-    The file is one of `VecNormalize.save`. `parts` are the spaces of the components by name. An
-    `InputError` is raised if the file has no
-    such statistics, or if they are of another observation.
+    The file is one of `VecNormalize.save`. `parts` are the spaces of the components by name. If the
+    file has no such statistics, or those of another observation, an `InputError` is raised.
     """
     field = "--vec-normalize"
     try:
-        saved = pickle.loads(path.read_bytes())  # the caller has checked that the user trusts it
-        statistics, bound = saved.obs_rms, float(saved.clip_obs)
-        epsilon, normalises = float(saved.epsilon), bool(saved.norm_obs)
-    except (OSError, pickle.UnpicklingError, AttributeError, EOFError, ImportError, TypeError):
+        # The caller has checked that the user trusts the file. A pickle can raise any error.
+        saved = vars(pickle.loads(path.read_bytes()))
+        if not saved["norm_obs"]:
+            return {}
+        statistics, bound = saved["obs_rms"], float(saved["clip_obs"])
+        by_name = statistics if isinstance(statistics, dict) else {"observation": statistics}
+        found = {
+            name: (np.array(one.mean, float), np.array(one.var, float) + float(saved["epsilon"]))
+            for name, one in by_name.items()
+        }
+    except Exception:
         raise InputError(field, str(path), "must be a file of VecNormalize.save") from None
-    if not normalises:
-        return {}
-    by_name = statistics if isinstance(statistics, dict) else {"observation": statistics}
-    found = {}
-    for name, one in by_name.items():
+    for name, (mean, variance) in found.items():
         shape = parts[name].shape if name in parts else None
-        if np.shape(one.mean) != shape:
+        if not mean.shape == variance.shape == shape:
             own = ", ".join(f"{key} {part.shape}" for key, part in parts.items())
             raise InputError(
                 field, str(path),
                 f"must have statistics of the agent's observation ({own}), not of {name} "
-                f"{np.shape(one.mean)}",
+                f"{mean.shape}",
             )  # fmt: skip
-        found[name] = (np.asarray(one.mean), np.sqrt(np.asarray(one.var) + epsilon), bound)
-    return found
+        if not (np.isfinite(mean).all() and (variance > 0.0).all() and bound > 0.0):
+            raise InputError(
+                field, str(path), f"must have finite means, positive variances and a positive "
+                f"clip_obs, but has not for {name}",
+            )  # fmt: skip
+    return {name: (mean, np.sqrt(variance), bound) for name, (mean, variance) in found.items()}

@@ -199,7 +199,7 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                 "An episode has ended. Call reset() with options['reset_mask']."
             )
         terms, moved, terminated = d.step(actions)
-        self._renderer.note(moved)
+        self._renderer.add_positions(moved)
         over = terminated
         info: dict[str, Any] = {"reward_terms": terms, "_reward_terms": moved}
         info |= {"cost": np.where(over & ~d.lanes.safe, 1.0, 0.0), "_cost": moved}
@@ -339,9 +339,8 @@ class GuidanceEnv(DescentEnv):
     - ``num_envs``, ``autoreset_mode``, ``max_episode_steps``, ``rendered`` with
       ``gymnasium.make_vec(..., vectorization_mode="vector_entry_point")``: number of flights in one
       kernel; "NextStep", "SameStep" or "Disabled"; number of steps until truncation; environments
-      whose frames
-      ``render`` returns with ``render_mode="rgb_array"`` (default: the first one). Environment i
-      with seed s gives the same episodes as a single environment with seed s + i.
+      whose frames ``render`` returns with ``render_mode="rgb_array"`` (default: the first one).
+      Environment i with seed s gives the same episodes as a single environment with seed s + i.
 
     ## Version History
 

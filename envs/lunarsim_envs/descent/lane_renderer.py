@@ -36,10 +36,14 @@ class LaneRenderer:
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise InputError("render_mode", render_mode, "must be 'rgb_array' or None")
+        if not isinstance(rendered, Sequence) or isinstance(rendered, str):
+            raise InputError("rendered", rendered, "must be a list of indices of environments")
         indices = [checked_int(f"rendered[{i}]", one, 0) for i, one in enumerate(rendered)]
         for i, one in enumerate(indices):
             if one >= lanes.count:
                 raise InputError(f"rendered[{i}]", one, f"must be below num_envs ({lanes.count})")
+        if not indices or len(set(indices)) < len(indices):
+            raise InputError("rendered", indices, "must be one or more indices, each given once")
         self.modes = ["rgb_array"]
         self._views: dict[int, PlaneView] = {}
         if render_mode is not None:
@@ -56,7 +60,7 @@ class LaneRenderer:
             if mask[lane]:
                 view.begin()
 
-    def note(self, mask: BoolArray) -> None:
+    def add_positions(self, mask: BoolArray) -> None:
         """Append the positions of the environments of `mask` (n,) to their drawn paths."""
         for lane, view in self._views.items():
             if mask[lane]:

@@ -11,8 +11,8 @@ from lunarsim_envs.sites.batch import SiteDescentBatch
 
 _UNSEEN, _WORDS, _EDGE = (60, 60, 66), (235, 235, 235), (16, 18, 24)
 _SITE, _LANDER, _REACHED, _OUT_OF_REACH = (255, 64, 64), (255, 255, 255), (0, 220, 255), (150,) * 3
-# Number of p_safe levels of the colour bar.
-_LEVELS = 110
+# Number of p_safe levels of the colour bar; height of the legend, pixels.
+_LEVELS, _LEGEND = 110, 26
 
 
 def draw_hazard_map(lanes: SiteDescentBatch, lane: int) -> Image:
@@ -27,21 +27,23 @@ def draw_hazard_map(lanes: SiteDescentBatch, lane: int) -> Image:
     colours = cv2.cvtColor(cv2.applyColorMap(levels, cv2.COLORMAP_CIVIDIS), cv2.COLOR_BGR2RGB)
     colours = np.where(seen[..., None], colours, np.array(_UNSEEN, np.uint8))
     rows, cols = seen.shape
-    scale = SIDE / max(rows, cols)
-    size = round(cols * scale), round(rows * scale)
+    scale = (SIDE - _LEGEND) / max(rows, cols)
+    size = max(round(cols * scale), 1), max(round(rows * scale), 1)
     image = np.full((SIDE, SIDE, 3), _EDGE, np.uint8)
-    image[: size[1], : size[0]] = cv2.resize(colours, size, interpolation=cv2.INTER_NEAREST)
+    image[_LEGEND : _LEGEND + size[1], : size[0]] = cv2.resize(
+        colours, size, interpolation=cv2.INTER_NEAREST
+    )
     corner, posting = maps.corner[lane], maps.posting
 
     def pixel(position: NDArray[np.float64]) -> tuple[int, int]:
         cell = (position[:2] - corner) / posting + 0.5
         east, north = np.clip(cell, -2.0 * cols, 3.0 * cols) * scale
-        return round(float(east)), round(size[1] - float(north))
+        return round(float(east)), round(_LEGEND + size[1] - float(north))
 
     for i in range(int(found.number[lane])):
         reached = np.isfinite(found.propellant[lane, i])
         colour = _REACHED if reached else _OUT_OF_REACH
-        cv2.circle(image, pixel(found.position[lane, i]), 5, colour, 1, cv2.LINE_AA)
+        cv2.circle(image, pixel(found.position[lane, i]), 5, colour, 1)
     site = pixel(lanes.guidance.site[lane])
     cv2.drawMarker(image, site, _SITE, cv2.MARKER_CROSS, 16, 2, cv2.LINE_AA)
     place = pixel(lanes.estimated_state[0][lane])
@@ -52,7 +54,7 @@ def draw_hazard_map(lanes: SiteDescentBatch, lane: int) -> Image:
 
 def _write_legend(image: Image, text: str) -> None:
     """Draw a title and a colour bar of p_safe at the top of a map image."""
-    image[:26] = _EDGE
+    image[:_LEGEND] = _EDGE
     bar = np.linspace(0, 255, _LEVELS).astype(np.uint8)[None].repeat(10, axis=0)
     left = SIDE - _LEVELS - 24
     image[8:18, left : left + _LEVELS] = cv2.cvtColor(

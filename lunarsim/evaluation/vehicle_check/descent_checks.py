@@ -162,16 +162,18 @@ def _hold_start(mission: Mission) -> list[Found]:
 def _remaining_tilt(mission: Mission, law: VerticalDescent) -> tuple[float, float]:
     """Return tilt, rad, and rate, rad/s, that an attitude loop has left at touchdown.
 
-    The law reduces its maximum tilt linearly with the height, and its command over the last
-    seconds. The attitude lags behind the command by the response time of the control.
+    The commanded tilt is at its maximum, which the law reduces linearly with the height, and over
+    the last seconds to zero. The attitude follows it with a first-order lag T, the response time of
+    the control. The command at touchdown is zero, so that the rate is the remaining tilt over T.
     """
-    lag = mission.software.control.response_time
-    slope = law.max_tilt - law.max_tilt_at_touchdown
-    slope *= mission.software.approach.vertical_descent_speed / law.full_tilt_height
-    tilt = min(law.max_tilt_at_touchdown + slope * lag, law.max_tilt)
-    if lag >= law.upright_time:
-        return tilt, slope
-    return tilt * lag / law.upright_time, (tilt + slope * lag) / law.upright_time
+    lag = max(mission.software.control.response_time, 1e-3)
+    before = np.linspace(0.0, 20.0 * lag, 4001)  # time before touchdown, s
+    height = mission.software.approach.vertical_descent_speed * before
+    share = np.minimum(height / law.full_tilt_height, 1.0)
+    tilt = law.max_tilt_at_touchdown + share * (law.max_tilt - law.max_tilt_at_touchdown)
+    tilt *= np.minimum(before / law.upright_time, 1.0)
+    left = float(np.trapezoid(tilt * np.exp(-before / lag), before) / lag)
+    return left, left / lag
 
 
 def _touchdown_tilt(mission: Mission) -> list[Found]:

@@ -159,6 +159,7 @@ class VerticalDescent:
         2.0,
         "s",
         gt=0,
+        le=10,
         help="time before touchdown in which the horizontal acceleration that the vertical descent "
         "commands decreases to zero, so that the lander touches down upright without rotation",
     )

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from lunarsim.errors import InputError
 from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.lander import Lander
 from lunarsim.models.thrusters import Thrusters
@@ -326,3 +327,9 @@ def test_commands_are_those_of_the_reference():
         assert command == pytest.approx(expected, rel=1e-12, abs=1e-12)
         slowed += command[2] != pytest.approx(G + law.speed_gain * (-2.0 - velocity[2]))
     assert slowed > 10
+
+
+def test_the_tolerated_offset_is_at_most_the_maximum_one():
+    with pytest.raises(InputError, match=r"tolerated_offset.*at most that of max_offset"):
+        VerticalDescent(tolerated_offset=2.0, max_offset=1.9)
+    assert VerticalDescent(tolerated_offset=2.0, max_offset=2.0).max_offset == 2.0
