@@ -93,6 +93,17 @@ def _checked_names(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(listed)
 
 
+def _scenario_of(env: Any, kinds: tuple[type, ...], name: str) -> Scenario:
+    """Return the scenario of an environment, whose class must be one of `kinds`.
+
+    Another environment raises an `InputError`, which calls the right one `name`.
+    """
+    if not isinstance(env, kinds):
+        raise InputError("env", type(env).__name__, f"must be {name} of lunarsim_envs")
+    scenario: Scenario = getattr(env, "descents", env).scenario
+    return scenario
+
+
 def _batch_costs(limits: StateCosts, lanes: DescentBatch) -> dict[str, Array]:
     """Return the costs (n,) of a batch of landers by name, without ``unsafe``."""
     place, target, p_safe = lanes.y[:, :3], lanes.target, None
@@ -132,13 +143,9 @@ class CostWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
     def __init__(self, env: gymnasium.Env[Any, Any], costs: Sequence[str] = ("unsafe",)) -> None:
         super().__init__(env)
         self.names = _checked_names(costs)
-        inner = env.unwrapped
-        if isinstance(inner, DescentEnv):
-            self.limits = StateCosts(inner.descents.scenario)
-        elif isinstance(inner, RetargetEnv):
-            self.limits = StateCosts(inner.scenario)
-        else:
-            raise InputError("env", type(inner).__name__, "is not an environment of lunarsim_envs")
+        self.limits = StateCosts(
+            _scenario_of(env.unwrapped, (DescentEnv, RetargetEnv), "an environment")
+        )
 
     def _state_costs(self) -> dict[str, Array]:
         """Return the costs (1,) of the current state by name, without ``unsafe``."""
@@ -198,15 +205,12 @@ class VectorCostWrapper(gymnasium.vector.VectorWrapper):
     ) -> None:
         super().__init__(env)
         self.names = _checked_names(costs)
-        inner = env.unwrapped
-        if isinstance(inner, DescentVectorEnv):
-            self._lanes: DescentBatch = inner.descents.lanes
-            self.limits = StateCosts(inner.descents.scenario)
-        elif isinstance(inner, RetargetVectorEnv):
-            self._lanes, self.limits = inner.lanes, StateCosts(inner.scenario)
-        else:
-            name = type(inner).__name__
-            raise InputError("env", name, "is not a vector environment of lunarsim_envs")
+        inner: Any = env.unwrapped
+        self.limits = StateCosts(
+            _scenario_of(inner, (DescentVectorEnv, RetargetVectorEnv), "a vector environment")
+        )
+        is_descent = isinstance(inner, DescentVectorEnv)
+        self._lanes: DescentBatch = inner.descents.lanes if is_descent else inner.lanes
         if inner.autoreset_mode is gymnasium.vector.AutoresetMode.SAME_STEP:
             raise InputError("autoreset_mode", "SameStep", "must be 'NextStep' or 'Disabled'")
 

@@ -84,7 +84,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.autoreset_mode = _MODE(autoreset_mode)
         self._renderer = LaneRenderer(render_mode, rendered, self.lanes, MapView)
         self.metadata = {
-            "render_modes": self._renderer.modes, "autoreset_mode": self.autoreset_mode,
+            "render_modes": ["rgb_array"], "autoreset_mode": self.autoreset_mode,
             "render_fps": 1,
         }  # fmt: skip
         self.single_action_space = self.actions.space

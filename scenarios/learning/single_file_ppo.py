@@ -1,4 +1,4 @@
-"""Train an agent of Guidance-v1 by PPO in one file, with PyTorch only.
+"""Train an agent of Guidance-v1 by PPO in one file, without Stable-Baselines3.
 
     python scenarios/learning/single_file_ppo.py --out ppo.onnx
     lunarsim evaluate Guidance-v1 --agent ppo.onnx --agent apollo
@@ -24,7 +24,7 @@ from lunarsim.errors import check_output
 
 ENV = "lunarsim_envs:lunarsim/Guidance-v1"
 ONE_OR_MORE = click.IntRange(min=1)
-GAMMA, LAMBDA, CLIP, EPOCHS, ENTROPY, VALUE, MAX_GRADIENT = 0.99, 0.95, 0.2, 10, 0.0, 0.5, 0.5
+GAMMA, LAMBDA, CLIP, EPOCHS, VALUE, MAX_GRADIENT = 0.99, 0.95, 0.2, 10, 0.5, 0.5
 
 
 def network(inputs: int, outputs: int, last: float) -> nn.Sequential:
@@ -80,8 +80,7 @@ def update(
             gain = (gain - gain.mean()) / (gain.std(correction=0) + 1e-8)
             policy_loss = -torch.min(gain * ratio, gain * ratio.clamp(1 - CLIP, 1 + CLIP)).mean()
             value_loss = (agent.value(seen)[:, 0] - returns).square().mean()
-            entropy = policy.entropy().sum(1).mean()
-            loss = policy_loss + VALUE * value_loss - ENTROPY * entropy
+            loss = policy_loss + VALUE * value_loss
             optimiser.zero_grad()
             loss.backward()
             nn.utils.clip_grad_norm_(agent.parameters(), MAX_GRADIENT)

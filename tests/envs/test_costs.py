@@ -97,12 +97,12 @@ def test_vector_costs_are_those_of_single_environments(name, settings):
                 one.reset()
                 over[i] = False
                 continue
-            _, _, cost, ended, _, told = one.step(actions[i])
+            _, _, cost, ended, _, own_info = one.step(actions[i])
             assert cost == costs[i]
-            assert told["costs"] == {name: value[i] for name, value in info["costs"].items()}
-            assert cost == sum(told["costs"][key] for key in chosen)
-            assert told["costs"]["unsafe"] == float(ended and not told["safe"])
-            seen = {key: max(seen[key], told["costs"][key]) for key in COSTS}
+            assert own_info["costs"] == {name: value[i] for name, value in info["costs"].items()}
+            assert cost == sum(own_info["costs"][key] for key in chosen)
+            assert own_info["costs"]["unsafe"] == float(ended and not own_info["safe"])
+            seen = {key: max(seen[key], own_info["costs"][key]) for key in COSTS}
             over[i] = ended
             ends += ended
         assert np.array_equal(terminated | truncated, over)
@@ -213,7 +213,7 @@ def test_wrong_arguments_are_refused():
         CostWrapper(env, 3)
     with pytest.raises(InputError, match="one or more names"):
         CostWrapper(env, ["tilt", "tilt"])
-    with pytest.raises(InputError, match="not an environment of lunarsim_envs"):
+    with pytest.raises(InputError, match="must be an environment of lunarsim_envs"):
         CostWrapper(gymnasium.make("CartPole-v1"))
     with pytest.raises(InputError, match="NextStep"):
         VectorCostWrapper(
@@ -222,5 +222,5 @@ def test_wrong_arguments_are_refused():
                 autoreset_mode="SameStep",
             )
         )  # fmt: skip
-    with pytest.raises(InputError, match="not a vector environment of lunarsim_envs"):
+    with pytest.raises(InputError, match="must be a vector environment of lunarsim_envs"):
         VectorCostWrapper(gymnasium.make_vec("CartPole-v1", num_envs=2))

@@ -91,7 +91,7 @@ def export_onnx(
 
     zeros = tuple(torch.zeros((1, *(part.shape or ()))) for part in parts.values())
     policy.set_training_mode(False)
-    # The validation of distributions depends on values, which no exported network can.
+    # The validation of distributions branches on values; an exported network cannot do that.
     torch.distributions.Distribution.set_default_validate_args(False)
     network = DeterministicPolicy().eval()
     options = {"input_names": list(parts), "external_data": False, "verbose": False}
@@ -132,7 +132,7 @@ def _load_scalings(path: Path, parts: dict[str, Any]) -> dict[str, Scaling]:
             )  # fmt: skip
         if not (np.isfinite(mean).all() and (variance > 0.0).all() and bound > 0.0):
             raise InputError(
-                field, str(path), f"must have finite means, positive variances and a positive "
-                f"clip_obs, but has not for {name}",
+                field, str(path),
+                f"must have finite means, positive variances and a positive clip_obs for {name}",
             )  # fmt: skip
     return {name: (mean, np.sqrt(variance), bound) for name, (mean, variance) in found.items()}

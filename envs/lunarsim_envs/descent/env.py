@@ -140,7 +140,7 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.autoreset_mode = gymnasium.vector.AutoresetMode(autoreset_mode)
         self._renderer = LaneRenderer(render_mode, rendered, self.descents.lanes)
         self.metadata = {
-            "render_modes": self._renderer.modes, "autoreset_mode": self.autoreset_mode,
+            "render_modes": ["rgb_array"], "autoreset_mode": self.autoreset_mode,
             "render_fps": max(round(1.0 / self.descents.period), 1),
         }  # fmt: skip
         self.single_action_space = self.descents.actions.space

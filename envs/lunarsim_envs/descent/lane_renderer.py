@@ -44,7 +44,6 @@ class LaneRenderer:
                 raise InputError(f"rendered[{i}]", one, f"must be below num_envs ({lanes.count})")
         if not indices or len(set(indices)) < len(indices):
             raise InputError("rendered", indices, "must be one or more indices, each given once")
-        self.modes = ["rgb_array"]
         self._views: dict[int, PlaneView] = {}
         if render_mode is not None:
             self._views = {one: view(lanes, one) for one in indices}
