@@ -98,10 +98,10 @@ def _scenario_of(env: Any, kinds: tuple[type, ...], name: str) -> Scenario:
 
     Another environment raises an `InputError`, which calls the right one `name`.
     """
+    holder: Any = getattr(env, "descents", env)
     if not isinstance(env, kinds):
         raise InputError("env", type(env).__name__, f"must be {name} of lunarsim_envs")
-    scenario: Scenario = getattr(env, "descents", env).scenario
-    return scenario
+    return holder.scenario  # type: ignore[no-any-return]
 
 
 def _batch_costs(limits: StateCosts, lanes: DescentBatch) -> dict[str, Array]:
