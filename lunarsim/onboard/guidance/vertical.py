@@ -290,15 +290,16 @@ class VerticalDescent:
 
         It first rotates upright from a `tilt`, rad, for a time t: the response lag or the time of
         this rotation. Meanwhile its horizontal `acceleration` a (2,), m/s^2, decreases to zero,
-        which changes its `velocity` (2,), m/s, by a t / 2 and its position by a t^2 / 3. Then it
-        decelerates at the maximum tilt. `mass` is in kg.
+        which changes its `velocity` v (2,), m/s, by a t / 2 and its position by v t + a t^2 / 3.
+        Then it decelerates at the maximum tilt. `mass` is in kg.
         """
         time = self.lag
         if self.rotation is not None:
             time = max(time, float(self.rotation.time(tilt, mass)))
+        shift = time * velocity + time**2 / 3.0 * acceleration
         velocity = velocity + 0.5 * time * acceleration
         stopping_time = float(np.hypot(*velocity)) / (self.gravity * np.tan(self.max_tilt))
-        return np.asarray(time**2 / 3.0 * acceleration + 0.5 * stopping_time * velocity)
+        return np.asarray(shift + 0.5 * stopping_time * velocity)
 
     def hover(self, estimate: Estimate, height: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2, of a hover at a height.
