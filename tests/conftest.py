@@ -26,11 +26,15 @@ settings.register_profile(
 )
 settings.load_profile("kernels")
 
+# Imported modules and collected tests stay until the end.
+gc.disable()
+
 
 def pytest_collection_finish() -> None:
-    """Collect garbage less often: the collected tests and imported modules stay until the end."""
+    """Collect garbage less often, and not in modules and tests."""
     gc.collect()
     gc.freeze()
+    gc.enable()
     gc.set_threshold(20_000, 20, 20)
 
 

@@ -42,7 +42,9 @@ def slope_and_roughness(legs, terrain, spacing=SPACING):
     turn = np.zeros(len(points))
     for k in range(len(legs)):
         a, b = legs[k - 1, :2] - points, legs[k, :2] - points
-        turn += np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], np.sum(a * b, axis=1))
+        turn += np.arctan2(
+            a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1]
+        )
     points = points[np.abs(turn) > math.pi]
     z = terrain.elevation(points)
     slope = roughness = 0.0
