@@ -11,7 +11,9 @@ demo: $(STAMP)          ## closed-loop comparison of policies on measured terrai
 	$(BIN)/lunarsim compare scenarios/hirise.toml --flights 6 --seed 1 --out $(OUT)/demo
 	@echo "Pictures: $(OUT)/demo/figures"
 
+# Tests start many processes: they load bytecode, also where PYTHONDONTWRITEBYTECODE is set.
 test: $(STAMP)          ## the test suite
+	$(BIN)/python -m compileall -q lunarsim envs
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --durations 30
 
 slow: $(STAMP)          ## the tests and studies that take minutes; one of them needs chromium

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gc
+import os
+from collections.abc import Iterator
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -24,11 +26,15 @@ settings.register_profile(
 )
 settings.load_profile("kernels")
 
+# Imported modules and collected tests stay until the end.
+gc.disable()
+
 
 def pytest_collection_finish() -> None:
-    """Collect garbage less often: the collected tests and imported modules stay until the end."""
+    """Collect garbage less often, and not in modules and tests."""
     gc.collect()
     gc.freeze()
+    gc.enable()
     gc.set_threshold(20_000, 20, 20)
 
 
@@ -43,6 +49,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     files = list(dict.fromkeys(item.path for item in items))
     turn = {path: min(2 * k, 2 * (len(files) - k) - 1) for k, path in enumerate(files)}
     items.sort(key=lambda item: turn[item.path])
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _without_fsync() -> Iterator[None]:
+    """Replace `os.fsync`: it waits for the disk, and no test interrupts the power supply."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda _: None)
+        yield
 
 
 @pytest.fixture

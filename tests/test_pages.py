@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+import lunarsim
 from lunarsim.campaign.world_truth import SAFE_SHARE_COLUMNS
 from lunarsim.cli import main
 from lunarsim.core.touchdown import CAUSES
@@ -119,13 +120,34 @@ def _every(group):
             yield from _every(command)
 
 
+# Scenarios with images and many measurements, of which pages use the first seconds as well.
+_LONG = {"camera_and_lidar", "instruments"}
+
+
+@pytest.fixture(scope="module")
+def fly():
+    """Return `lunarsim.fly` with shorter flights of long scenarios; equal calls fly once."""
+    original, flown = lunarsim.fly, {}
+
+    def shared(scenario, **options):
+        if scenario in _LONG:
+            options["simulation"] = {"max_time_s": 12.0}
+        call = repr((scenario, sorted(options.items())))
+        if call not in flown:
+            flown[call] = original(scenario, **options)
+        return flown[call]
+
+    return shared
+
+
 @pytest.mark.parametrize(
     ("name", "number"),
     [(p.relative_to(ROOT).as_posix(), i) for p in PAGES if p.name != "CONTRIBUTING.md"
      for i in range(len(_blocks(p, "python")))],
 )  # fmt: skip
-def test_python_that_is_shown_runs(name, number, tmp_path, monkeypatch):
+def test_python_that_is_shown_runs(name, number, tmp_path, monkeypatch, fly):
     """Those of CONTRIBUTING are files of a package that `tests/outside` flies."""
+    monkeypatch.setattr(lunarsim, "fly", fly)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "scenarios").symlink_to(SCENARIOS)
     results = tmp_path / "DIR" / "results"

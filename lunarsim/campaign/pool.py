@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import multiprocessing
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from itertools import takewhile
@@ -18,6 +19,11 @@ from lunarsim.console import plain_progress
 
 T = TypeVar("T")
 R = TypeVar("R")
+
+# Minimum time between two collections of garbage, s: in a process with many objects, a collection
+# takes up to 0.5 s, which is longer than a short task.
+_COLLECTION_INTERVAL_S = 0.5
+_last_collection = -_COLLECTION_INTERVAL_S
 
 
 class TaskPool:
@@ -109,11 +115,17 @@ def iterate_results(
 
 
 def _run_task(function: Callable[[T], R], task: T) -> R:
-    """Call a function on a task, then free unreachable memory; a flight leaves 0.4 GB."""
+    """Call a function on a task, then free unreachable memory; a flight leaves 0.4 GB.
+
+    After short tasks, memory is freed at intervals.
+    """
+    global _last_collection  # noqa: PLW0603
     try:
         return function(task)
     finally:
-        gc.collect()
+        if time.monotonic() - _last_collection > _COLLECTION_INTERVAL_S:
+            gc.collect()
+            _last_collection = time.monotonic()
 
 
 def collect_results(

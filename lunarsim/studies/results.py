@@ -10,6 +10,7 @@ import os
 import shlex
 import subprocess
 import sys
+import time
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -25,6 +26,9 @@ from lunarsim.errors import InputError, error_reason
 
 JOURNAL = "journal.jsonl"
 RESULTS = "results.json"
+# Minimum time between two fsyncs of the journal, s: a fsync can take longer than a short case, and
+# only a failure of the power can lose what was written since.
+_FSYNC_INTERVAL_S = 1.0
 
 
 def provenance(name: str, script: Path, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -104,6 +108,7 @@ class Journal:
 
     def __init__(self, folder: Path | None, identity: Mapping[str, Any]) -> None:
         self._path = None if folder is None else folder / JOURNAL
+        self._synced = time.monotonic()
         self.finished: dict[int, list[dict[str, Any]]] = {}
         if folder is None or self._path is None:
             return
@@ -136,7 +141,9 @@ class Journal:
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(_text([index, rows]) + "\n")
                 file.flush()
-                os.fsync(file.fileno())
+                if time.monotonic() - self._synced > _FSYNC_INTERVAL_S:
+                    os.fsync(file.fileno())
+                    self._synced = time.monotonic()
 
 
 def _line(text: str) -> Any:
