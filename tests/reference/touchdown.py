@@ -38,12 +38,14 @@ def contacts(lander, position, attitude, terrain):
 def slope_and_roughness(legs, terrain, spacing=SPACING):
     """Return the steepest slope (rad) of a plane on the legs, and the highest point above one."""
     points = _grid(legs[:, :2].min(axis=0), legs[:, :2].max(axis=0), spacing)
-    # A point inside a convex polygon is on the same side of all edges.
-    sides = []
+    # Inside a convex polygon the edges are seen under angles that add up to a full turn.
+    turn = np.zeros(len(points))
     for k in range(len(legs)):
-        (ax, ay), (bx, by) = legs[k - 1, :2], legs[k, :2]
-        sides.append((bx - ax) * (points[:, 1] - ay) > (by - ay) * (points[:, 0] - ax))
-    points = points[np.all(sides, axis=0) | ~np.any(sides, axis=0)]
+        a, b = legs[k - 1, :2] - points, legs[k, :2] - points
+        turn += np.arctan2(
+            a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1]
+        )
+    points = points[np.abs(turn) > math.pi]
     z = terrain.elevation(points)
     slope = roughness = 0.0
     for z0, gx, gy in standing_planes(legs):
