@@ -41,7 +41,7 @@ def test_settings_change_starts_and_come_back_from_their_file(tmp_path):
 @pytest.mark.slow
 def test_two_trainings_are_the_same_bits(tmp_path):
     pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
-    from lunarsim_envs.training.guidance import train
+    from lunarsim_envs.training.descents import train
 
     runs = [train(SMALL, tmp_path / name, 2, lambda run, seen: None) for name in ("one", "other")]
     files = [(tmp_path / name / "agent.npz").read_bytes() for name in ("one", "other")]
@@ -59,7 +59,7 @@ def test_two_trainings_are_the_same_bits(tmp_path):
 @pytest.mark.slow
 def test_a_training_goes_on_bit_for_bit(tmp_path):
     pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
-    from lunarsim_envs.training.guidance import TrainingRun, policy_network
+    from lunarsim_envs.training.descents import TrainingRun
 
     whole = TrainingRun(SMALL, tmp_path / "whole")
     for _ in range(4):
@@ -72,10 +72,10 @@ def test_a_training_goes_on_bit_for_bit(tmp_path):
     assert second.done == 2
     for _ in range(2):
         second.advance()
-    one, other = policy_network(whole.model), policy_network(second.model)
+    one, other = whole.network, second.network
     for a, b in zip(one.weights + one.biases, other.weights + other.biases, strict=True):
         assert np.array_equal(a, b)
-    assert not np.array_equal(one.weights[0], policy_network(first.model).weights[0])
+    assert not np.array_equal(one.weights[0], first.network.weights[0])
     with pytest.raises(InputError, match="with the same settings"):
         TrainingRun(replace(SMALL, seed=1), tmp_path / "parts")
     # What NumPy flies, and what the file of Stable-Baselines3 does, is the agent that was trained.
