@@ -103,10 +103,11 @@ def print_curves(report: Report) -> None:
             report.column(name, last) for name in ("safe", "on_target", "propellant_kg")
         )
         mean, half = mean_interval(safe)
+        interval = f" [{mean - half:.3f}, {min(mean + half, 1.0):.3f}]" if len(safe) > 1 else ""
         table.add_row(
             environment, str(len(last)), f"{last[0]['steps']:,}",
             f"{report.column('seconds', last).mean() / 60.0:.1f}",
-            f"{mean:.3f} [{mean - half:.3f}, {min(mean + half, 1.0):.3f}]",
+            f"{mean:.3f}{interval}",
             f"{safe.min():.3f} / {safe.max():.3f}",
             "-" if np.isnan(on_target).all() else f"{on_target.mean():.3f}",
             f"{spent.mean():.1f}",

@@ -63,7 +63,7 @@ def compare(out: Path, settings: PpoSettings, episodes: int, console: Console) -
     help="Folder for the results. If it has a saved training run, that run is continued.",
 )
 @click.option("--steps", type=click.IntRange(min=1), default=None,
-              help="Number of environment steps over all parallel episodes. Default: 10 million for "
+              help="Number of steps over all parallel episodes. Default: 10 million for "
               "Guidance-v1, 4 million for Control-v1.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True,
               help="Random seed of the training.")  # fmt: skip
