@@ -33,7 +33,7 @@ _FLIGHTS = 300
 def create_batch_env(
     settings: PpoSettings, count: int, split: str = "train"
 ) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
-    """Create the vector environment of a training, with `count` parallel flights in a split."""
+    """Create the vector environment of `count` parallel flights in a split."""
     return gymnasium.make_vec(
         f"lunarsim_envs:lunarsim/{settings.environment}", num_envs=count,
         vectorization_mode="vector_entry_point", autoreset_mode="SameStep",
@@ -136,7 +136,7 @@ class TrainingRun:
         return evaluate_held_out(batch, lambda observation, info: network(observation))
 
     def evaluate(self) -> HeldOutResult:
-        """Evaluate the agent on the split "validation"; append the result to the learning curve."""
+        """Evaluate the agent in "validation"; append the result to the curve."""
         seen = self.fly("validation", _FLIGHTS)
         row: dict[str, float] = {"update": self.done, "steps": int(self.model.num_timesteps)}
         row |= {"seconds": round(self.seconds, 1), "on_target": seen.on_target}

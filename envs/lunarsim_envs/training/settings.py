@@ -1,4 +1,4 @@
-"""Define the settings of a training of ``Guidance-v1`` or ``Control-v1``; they fix its result."""
+"""Define the settings of a training of descents; they fix its result."""
 
 from __future__ import annotations
 

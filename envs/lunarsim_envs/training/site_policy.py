@@ -1,4 +1,4 @@
-"""Policy for MaskablePPO that scores every site with the same network; needs the extra ``rl``."""
+"""Policy for MaskablePPO that scores all sites alike; needs the extra ``rl``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _OPTIONS, _WIDTH = SITES + 1, len(FEATURES)
 
 
 class SiteScores(nn.Module):  # type: ignore[misc]
-    """Scores of all options by the network of a `SiteNetwork`, and features of the state's value.
+    """Scores of all options by a site network, and features of the value.
 
     The input is the observation component ``site_features`` of n landers, as rows. The value is
     computed from the current site and from the maxima over all sites.
@@ -74,7 +74,8 @@ class SitePolicy(MaskableMultiInputActorCriticPolicy):  # type: ignore[misc]
         )
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
-        return super()._get_constructor_parameters() | {"hidden": self.hidden}
+        parameters: dict[str, Any] = super()._get_constructor_parameters()
+        return parameters | {"hidden": self.hidden}
 
     def site_network(self) -> SiteNetwork:
         """Return the network of the scores, which flies without PyTorch."""
