@@ -108,7 +108,7 @@ class Network:
 class NetworkAgent:
     """Fly ``Guidance-v1`` or ``Control-v1`` with a trained NumPy network.
 
-    If the environment acts a whole number of times as often as the training, each action of the
+    If the action rate of the environment is a multiple of that of the training, each action of the
     network is held for as many steps.
 
     Parameters
@@ -160,7 +160,7 @@ class NetworkAgent:
         self._step = 0
 
     def act(self, observation: Any, info: dict[str, Any]) -> Array:
-        """Return the action from an observation (2 size,), or the action that is still held."""
+        """Return the action from an observation (2 size,), or the held action."""
         if self._step % self._steps == 0:
             self._action = self._network(observation)
         self._step += 1

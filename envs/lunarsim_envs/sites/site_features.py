@@ -1,4 +1,4 @@
-"""Compute scaled features of all sites that a lander can choose, for neural networks."""
+"""Compute scaled features of the sites that a lander can choose."""
 
 from __future__ import annotations
 
