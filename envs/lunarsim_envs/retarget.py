@@ -123,6 +123,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     - ``site`` (4,): current site: p_safe, 1 if observed, propellant to reach it (kg), expected miss
       (m).
     - ``hazard_crop`` (2, 33, 33): p_safe and observed mask around the current site, 1 m spacing.
+    - ``site_features`` (21, 8): scaled features of each action
+      (`lunarsim_envs.sites.site_features`), for a network that scores all sites alike.
 
     p_safe is the probability, given the measurements, that a touchdown centred there violates none
     of the limits of slope, roughness and belly clearance, whatever its heading. It excludes speed,

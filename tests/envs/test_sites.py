@@ -15,10 +15,11 @@ from gymnasium.utils.env_checker import check_env
 
 from lunarsim.errors import InputError
 from lunarsim_envs.agents.registry import agent_of
-from lunarsim_envs.agents.site_network import SiteNetwork, features
+from lunarsim_envs.agents.site_network import SiteNetwork
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
 from lunarsim_envs.sites import observations
 from lunarsim_envs.sites.perception import KERNELS
+from lunarsim_envs.sites.site_features import site_features
 from lunarsim_envs.training.sites import CemSettings, fly_networks, initial_network, train
 from tests.envs.site_scene import SMALL, lanes, made_up
 
@@ -159,6 +160,17 @@ def test_parts_say_what_they_are():
     assert candidates[k, :3] == pytest.approx(sites[k, [0, 1, 3]])
     assert candidates[k, 3] == pytest.approx(sites[k, 4] - observation["site"][2], abs=1e-3)
     assert candidates[k, 4] == pytest.approx(np.hypot(*sites[k, :2]), rel=1e-5)
+    features = observation["site_features"]
+    p = np.clip([observation["site"][0], candidates[k, 2]], 1e-6, 0.999)
+    assert features[[0, k + 1], 0] == pytest.approx(np.log(p / (1.0 - p)) / 5.0, rel=1e-4)
+    assert features[k + 1, 1:5] == pytest.approx(
+        [candidates[k, 3] / 2.0, candidates[k, 4] / 30.0, 0.0, 1.0], rel=1e-3, abs=1e-3
+    )
+    assert features[0, 1:4].tolist() == [0.0, 0.0, 1.0]
+    assert features[:, 5] == pytest.approx(observation["to_go"][2] / 200.0, rel=1e-5)
+    assert features[:, 6] == pytest.approx(observation["site"][3], rel=1e-5)
+    allowed = features[info["action_mask"].astype(bool), 7]
+    assert allowed.max() == 0.0 and (allowed <= 0.0).all()
     crop = observation["hazard_crop"]
     seen = env.unwrapped.seen
     for a, b in ((16, 16), (3, 30)):
@@ -281,7 +293,7 @@ def test_a_network_of_sites_chooses_saves_and_flies(tmp_path):
     ended, moved = False, 0
     while not ended:
         sights = env.unwrapped.flight.inputs
-        x, good = features(sights)
+        x, good = site_features(sights)
         assert np.array_equal(good[0], info["action_mask"] == 1)
         action = agent.act(observation, info)
         worth = np.where(good[0], x[0] @ network.linear, -np.inf)

@@ -82,11 +82,27 @@ def test_it_is_small_and_flies_without_pytorch():
 def test_it_refuses_what_it_was_not_trained_for():
     for env, says in (
         (ControlEnv(changes=LOW), "needs Guidance-v1"),
-        (GuidanceEnv(changes=LOW, rate_hz=10.0), "5 actions per second"),
+        (GuidanceEnv(changes=LOW, rate_hz=12.5), "5 actions per second, or a multiple"),
+        (GuidanceEnv(changes=LOW, rate_hz=2.5), "5 actions per second, or a multiple"),
         (GuidanceEnv(changes=LOW, observation=["position", "velocity"]), "observation components"),
     ):
         with pytest.raises(InputError, match=says):
             agent_of("ppo", env)
+
+
+def test_a_faster_environment_holds_each_action(network):
+    """At 10 Hz, every second observation is used; the next flight begins with its first one."""
+    env = GuidanceEnv(changes=LOW, rate_hz=10.0)
+    agent = agent_of("ppo", env)
+    for seed, steps in ((1, 3), (2, 4)):
+        agent.begin(np.random.default_rng(0))
+        seen, info = env.reset(seed=seed)
+        for step in range(steps):
+            if step % 2 == 0:
+                wanted = network(seen)
+            action = agent.act(seen, info)
+            assert np.array_equal(action, wanted)
+            seen, *_, info = env.step(action)
 
 
 def test_a_file_that_is_cut_short_is_refused(tmp_path):

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim_envs.agents.registry import agent_of
-from lunarsim_envs.descent.env import GuidanceEnv, GuidanceVectorEnv
+from lunarsim_envs.agents.network import Network
+from lunarsim_envs.agents.registry import agent_of, packaged_agents
+from lunarsim_envs.descent.env import ControlEnv, GuidanceEnv, GuidanceVectorEnv
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
-from lunarsim_envs.training.settings import PpoSettings
+from lunarsim_envs.training.held_out import evaluate_held_out
+from lunarsim_envs.training.settings import SETTINGS, PpoSettings
 from tests.envs import site_scene
 from tests.low_descents import IDS, LOW, batch
 
@@ -38,10 +40,42 @@ def test_settings_change_starts_and_come_back_from_their_file(tmp_path):
     assert PpoSettings.load(tmp_path / "settings.json") == settings
 
 
+def test_held_out_results_are_those_of_single_flights():
+    """Eight short descents at once and each alone; some of them land."""
+    network = Network.load(packaged_agents()["ppo"])
+    together = evaluate_held_out(
+        batch(IDS[0], 8, autoreset_mode="SameStep", split="validation"),
+        lambda seen, info: np.stack([network(one) for one in seen]), seed=7,
+    )  # fmt: skip
+    env, safe, near, burnt = GuidanceEnv(changes=LOW, split="validation"), [], [], []
+    for seed in range(7, 15):
+        seen, _ = env.reset(seed=seed)
+        over = False
+        while not over:
+            seen, _, ended, late, info = env.step(network(seen))
+            over = ended or late
+        safe.append(info["safe"])
+        near.append(info["safe"] and info["miss_m"] <= 10.0)
+        burnt.append(info["propellant_kg"])
+    assert (together.safe, together.on_target) == (np.mean(safe), np.mean(near))
+    assert 0.0 < together.safe < 1.0
+    assert together.propellant == pytest.approx(np.mean(np.array(burnt)[safe]), rel=1e-12)
+
+
+def test_held_out_results_without_a_safe_landing():
+    falls = batch(IDS[1], 3, autoreset_mode="SameStep")
+    result = evaluate_held_out(falls, lambda seen, info: np.full((3, 4), -1.0, np.float32))
+    assert result.safe == result.on_target == 0.0 and np.isnan(result.propellant)
+    sites = RetargetVectorEnv(
+        3, "SameStep", scenario=site_scene.SMALL, perception="truth", worlds=2, world_seed=5
+    )
+    assert np.isnan(evaluate_held_out(sites, lambda seen, info: np.zeros(3, int)).on_target)
+
+
 @pytest.mark.slow
 def test_two_trainings_are_the_same_bits(tmp_path):
     pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
-    from lunarsim_envs.training.guidance import train
+    from lunarsim_envs.training.descents import train
 
     runs = [train(SMALL, tmp_path / name, 2, lambda run, seen: None) for name in ("one", "other")]
     files = [(tmp_path / name / "agent.npz").read_bytes() for name in ("one", "other")]
@@ -59,7 +93,7 @@ def test_two_trainings_are_the_same_bits(tmp_path):
 @pytest.mark.slow
 def test_a_training_goes_on_bit_for_bit(tmp_path):
     pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
-    from lunarsim_envs.training.guidance import TrainingRun, policy_network
+    from lunarsim_envs.training.descents import TrainingRun
 
     whole = TrainingRun(SMALL, tmp_path / "whole")
     for _ in range(4):
@@ -72,10 +106,10 @@ def test_a_training_goes_on_bit_for_bit(tmp_path):
     assert second.done == 2
     for _ in range(2):
         second.advance()
-    one, other = policy_network(whole.model), policy_network(second.model)
+    one, other = whole.network, second.network
     for a, b in zip(one.weights + one.biases, other.weights + other.biases, strict=True):
         assert np.array_equal(a, b)
-    assert not np.array_equal(one.weights[0], policy_network(first.model).weights[0])
+    assert not np.array_equal(one.weights[0], first.network.weights[0])
     with pytest.raises(InputError, match="with the same settings"):
         TrainingRun(replace(SMALL, seed=1), tmp_path / "parts")
     # What NumPy flies, and what the file of Stable-Baselines3 does, is the agent that was trained.
@@ -90,6 +124,56 @@ def test_a_training_goes_on_bit_for_bit(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_network_of_control_flies_as_it_was_trained(tmp_path):
+    pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
+    from lunarsim_envs.training.descents import TrainingRun
+
+    small = replace(SETTINGS["Control-v1"], lanes=32, horizon=16, batch=64, steps=512)
+    run = TrainingRun(small, tmp_path)
+    run.advance()
+    run.checkpoint()
+    assert run.model.gamma == 0.998
+    env = ControlEnv(changes=small.changes, rate_hz=10.0)
+    seen, _ = env.reset(seed=1)
+    wanted = run.model.predict(seen, deterministic=True)[0]
+    agent = agent_of(str(tmp_path / "agent.npz"), env)
+    agent.begin(np.random.default_rng(0))
+    assert agent.act(seen, {}) == pytest.approx(wanted, abs=1e-5)
+
+
+@pytest.mark.slow
+def test_a_policy_that_scores_sites_becomes_a_site_network(tmp_path):
+    """Its most likely action is the best allowed site of the network, after training too."""
+    contrib = pytest.importorskip("sb3_contrib", reason="the extra `rl` is not installed")
+    from lunarsim_envs.training.sb3_vec_env import Sb3VecEnv
+    from lunarsim_envs.training.site_policy import SitePolicy
+
+    lanes = RetargetVectorEnv(
+        8, "SameStep", observation=["site_features"], scenario=site_scene.SMALL,
+        perception="truth", worlds=2, world_seed=5,
+    )  # fmt: skip
+    env = Sb3VecEnv(lanes)
+    env.seed(1)
+    model = contrib.MaskablePPO(
+        SitePolicy, env, n_steps=16, batch_size=32, seed=1, policy_kwargs={"hidden": 5}
+    )
+    before = model.policy.site_network()
+    model.learn(256)
+    network = model.policy.site_network()
+    assert network.inner.shape == (5, 8)
+    for name in ("linear", "inner", "bias", "outer"):
+        assert (getattr(network, name) != getattr(before, name)).any()
+    model.save(tmp_path / "model.zip")
+    other = contrib.MaskablePPO.load(tmp_path / "model.zip")
+    seen, _ = lanes.reset(seed=3)
+    for _ in range(6):
+        masks = lanes.action_masks()
+        chosen = other.predict(seen, action_masks=masks, deterministic=True)[0]
+        assert np.array_equal(chosen, network.choose(lanes.inputs))
+        seen, *_ = lanes.step(chosen)
+
+
+@pytest.mark.slow
 def test_a_batch_is_what_stable_baselines3_takes(tmp_path):
     pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
     from stable_baselines3.common.env_checker import check_env
@@ -97,11 +181,13 @@ def test_a_batch_is_what_stable_baselines3_takes(tmp_path):
     from lunarsim_envs.training.sb3_vec_env import Sb3VecEnv
 
     near = {"position_m": [0.0, 0.0, 40.0], "position_sigma_m": 0.0}
-    env = Sb3VecEnv(batch(IDS[0], 8, autoreset_mode="SameStep", scaled=False), [near, {}])
+    env = Sb3VecEnv(batch(IDS[0], 8, autoreset_mode="SameStep", scaled=False))
     env.seed(5)
+    env.set_options([near] * 4 + [{}] * 4)
     first = env.reset()
     assert (first[:4, 2] == 40.0).all() and (first[4:, 2] < 36.0).all()
     env.seed(5)
+    env.set_options([near] * 4 + [{}] * 4)
     assert np.array_equal(env.reset(), first)
     ends = 0
     for _ in range(120):
@@ -150,7 +236,7 @@ def test_a_batch_that_chooses_sites_has_masks_and_is_learned_from(action):
 
 @pytest.mark.slow
 def test_options_of_stable_baselines3_are_those_of_a_reset():
-    """For all lanes or each its own, over `starts`; of the next reset alone."""
+    """For all lanes or each its own; of the next reset alone."""
     pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
     from lunarsim_envs.training.sb3_vec_env import Sb3VecEnv
 
@@ -163,10 +249,6 @@ def test_options_of_stable_baselines3_are_those_of_a_reset():
     own = [near | exact, {}, near | exact, {}]
     env.set_options(own)
     assert (env.reset()[:, 2] == 40.0).tolist() == [True, False, True, False]
-    env = Sb3VecEnv(batch(IDS[0], 4, autoreset_mode="SameStep", scaled=False), [near, {}])
-    env.set_options(exact)
-    seen = env.reset()
-    assert (seen[:2, 2] == 40.0).all() and (seen[2:, 2] == 25.0).all()
     env.set_options({"positon_m": [0.0, 0.0, 40.0]})
     with pytest.raises(InputError, match="Did you mean 'position_m'"):
         env.reset()
@@ -190,7 +272,8 @@ def test_only_a_step_limit_is_reported_as_truncated():
     changes = LOW | {"simulation.max_time_s": 2.0}
     for limit, steps, late in ((None, 10, False), (9, 9, True)):
         batch_env = GuidanceVectorEnv(2, "SameStep", max_episode_steps=limit, changes=changes)
-        env = Sb3VecEnv(batch_env, [low, falls])
+        env = Sb3VecEnv(batch_env)
+        env.set_options([low, falls])
         env.reset()
         ends = {}
         for step in range(1, 11):

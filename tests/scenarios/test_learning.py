@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from io import StringIO
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from rich.console import Console
 
 from lunarsim.evaluation.comparisons import Difference
+from lunarsim.studies import Report
 
 
 def _between(low, high):
@@ -81,7 +85,7 @@ def test_ranking_is_printed(script, monkeypatch, capsys):
     assert study.main() == 0
     out = capsys.readouterr().out
     assert "`no-divert`" in out and "`safest`" in out
-    assert out.count("of 1 pairs of agents") == 2
+    assert out.count(": 1 pairs of agents") == 2
 
 
 def test_example_script_rejects_invalid_input(script, tmp_path):
@@ -98,3 +102,35 @@ def test_surrogate_of_an_unknown_scenario_is_rejected(script, monkeypatch, capsy
     monkeypatch.setattr("sys.argv", ["fit_surrogate.py", "--scenario", "hardd", "--check"])
     assert script("learning", "fit_surrogate").main() == 2
     assert "Did you mean 'hard'" in capsys.readouterr().err
+
+
+def test_the_interval_of_a_learning_curve_covers_the_mean_of_seeds(script):
+    """Student's interval of five seeds covers the true mean in 95 % of 4,000 studies."""
+    curves = script("learning", "learning_curves")
+    seeds = np.random.default_rng(1).normal(0.9, 0.03, (4000, 5))
+    inside = sum(
+        abs(mean - 0.9) <= half for mean, half in (curves.mean_interval(row) for row in seeds)
+    )
+    assert 0.94 < inside / 4000 < 0.96
+    assert curves.mean_interval(np.array([0.7]))[0] == 0.7
+    assert np.isnan(curves.mean_interval(np.array([0.7]))[1])
+
+
+def test_learning_curves_are_drawn_and_their_test_flights_printed(script, tmp_path):
+    """Two seeds of one environment: the table has the last rows, the figure the others."""
+    curves = script("learning", "learning_curves")
+    rows = [
+        {
+            "environment": "Control-v1", "number": seed, "steps": 1000 * k, "seconds": 60.0 * k,
+            "split": "validation" if k < 3 else "test", "safe": 0.1 * k + 0.02 * seed,
+            "on_target": 0.1, "propellant_kg": 40.0 + seed,
+        }
+        for seed in range(2)
+        for k in (1, 2, 3)
+    ]  # fmt: skip
+    console = Console(file=StringIO(), width=200)
+    report = Report(rows, ["environment"], "seeds", {}, False, {}, 0, console, tmp_path)
+    curves.print_curves(report)
+    text = console.file.getvalue()
+    assert "0.310 [0.183, 0.437]" in text and "0.300 / 0.320" in text and "40.5" in text
+    assert (tmp_path / "curves.png").stat().st_size > 5000

@@ -108,10 +108,13 @@ class Network:
 class NetworkAgent:
     """Fly ``Guidance-v1`` or ``Control-v1`` with a trained NumPy network.
 
+    If the action rate of the environment is a multiple of that of the training, each action of the
+    network is held for as many steps.
+
     Parameters
     ----------
     env
-        Environment with the observation and the action rate of the training.
+        Environment with the observation of the training, and its action rate or a multiple of it.
     network
         Trained network.
     name
@@ -140,17 +143,25 @@ class NetworkAgent:
             raise incompatible_agent_error(
                 name, env, "observations that are scaled as in its training"
             )
-        if abs(flown.descents.period * network.rate - 1.0) > 1e-9:
-            raise incompatible_agent_error(name, env, f"{network.rate:g} actions per second")
+        steps = 1.0 / (flown.descents.period * network.rate)
+        self._steps = max(round(steps), 1)
+        if abs(steps / self._steps - 1.0) > 1e-9:
+            raise incompatible_agent_error(
+                name, env, f"{network.rate:g} actions per second, or a multiple of it"
+            )
         if network.weights[-1].shape[0] != len(flown.descents.actions.high):
             raise incompatible_agent_error(
                 name, env, f"actions with {network.weights[-1].shape[0]} values"
             )
-        self._network = network
+        self._network, self._step = network, 0
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Do nothing: the network has no memory and is deterministic."""
+        """Begin a flight: the next action comes from its observation."""
+        self._step = 0
 
     def act(self, observation: Any, info: dict[str, Any]) -> Array:
-        """Return the action that the network computes from an observation (2 size,)."""
-        return self._network(observation)
+        """Return the action from an observation (2 size,), or the held action."""
+        if self._step % self._steps == 0:
+            self._action = self._network(observation)
+        self._step += 1
+        return self._action

@@ -10,7 +10,7 @@ import numpy as np
 from lunarsim.simulation.loop import make_policy
 from lunarsim_envs.agents.agent_interface import check_sites, incompatible_agent_error
 from lunarsim_envs.retarget import RetargetEnv
-from lunarsim_envs.sites.observations import SITES
+from lunarsim_envs.sites.site_inputs import SITES
 
 
 class PolicyAgent:

@@ -11,53 +11,14 @@ import numpy as np
 
 from lunarsim.atomic_files import atomic_write_arrays
 from lunarsim.errors import InputError, error_reason
-from lunarsim.typing import Array, BoolArray, IntArray
+from lunarsim.typing import Array, IntArray
 from lunarsim.untrusted_files import read_arrays
 from lunarsim_envs.agents.agent_interface import check_sites, incompatible_agent_error
 from lunarsim_envs.retarget import RetargetEnv
-from lunarsim_envs.sites.observations import SITES
+from lunarsim_envs.sites.site_features import FEATURES, site_features
 from lunarsim_envs.sites.site_inputs import SiteInputs
 
 FORMAT = "lunarsim site network 1"
-# Input quantities (features) of a site. The constants below are their scales.
-FEATURES = (
-    "log-odds of safety", "propellant over that of the present site", "distance", "is the present",
-    "has been seen", "altitude", "expected miss", "log-odds under the best",
-)  # fmt: skip
-_LOG_ODDS, _PROPELLANT, _DISTANCE, _ALTITUDE, _MISS = 5.0, 2.0, 30.0, 200.0, 1.0
-# Bounds of p_safe before log-odds: beyond them, model errors of the map dominate.
-_LEAST, _MOST = 1e-6, 0.999
-
-
-def features(inputs: SiteInputs) -> tuple[Array, BoolArray]:
-    """Compute network inputs (n, 21, features) of all sites that n landers can choose.
-
-    Option 0 is the current site, option i is candidate site i - 1. Also returns which options are
-    available (n, 21). `FEATURES` names the inputs.
-    """
-    n, m = len(inputs.site), min(SITES, inputs.p_safe.shape[1])
-    p = np.zeros((n, SITES + 1))
-    p[:, 0] = np.nan_to_num(inputs.here[:, 0], nan=0.0)
-    p[:, 1 : m + 1] = inputs.p_safe[:, :m]
-    good = np.zeros((n, SITES + 1), np.bool_)
-    good[:, 0] = True
-    known = np.arange(m) < inputs.count[:, None]
-    good[:, 1 : m + 1] = known & np.isfinite(inputs.cost[:, :m])
-    p = np.clip(np.where(good, p, 0.0), _LEAST, _MOST)
-    odds = np.log(p / (1.0 - p)) / _LOG_ODDS
-    stay = np.where(np.isfinite(inputs.here[:, 1]), inputs.here[:, 1], 0.0)
-    x = np.zeros((n, SITES + 1, len(FEATURES)))
-    x[..., 0] = odds
-    more = np.where(good[:, 1 : m + 1], inputs.cost[:, :m], 0.0) - stay[:, None]
-    x[:, 1 : m + 1, 1] = np.where(good[:, 1 : m + 1], more, 0.0) / _PROPELLANT
-    x[:, 1 : m + 1, 2] = np.where(known, inputs.distance[:, :m], 0.0) / _DISTANCE
-    x[:, 0, 3] = 1.0
-    x[..., 4] = 1.0
-    x[:, 0, 4] = np.isfinite(inputs.here[:, 0])
-    x[..., 5] = ((inputs.position[:, 2] - inputs.site[:, 2]) / _ALTITUDE)[:, None]
-    x[..., 6] = (np.nan_to_num(inputs.here[:, 2], nan=0.0) / _MISS)[:, None]
-    x[..., 7] = odds - np.where(good, odds, -np.inf).max(axis=1, keepdims=True)
-    return x, good
 
 
 @dataclass(frozen=True)
@@ -98,7 +59,7 @@ class SiteNetwork:
 
         0 is the current site; i is candidate site i - 1.
         """
-        x, good = features(inputs)
+        x, good = site_features(inputs)
         scores = x @ self.linear + np.tanh(x @ self.inner.T + self.bias) @ self.outer
         return np.asarray(np.where(good, scores, -np.inf).argmax(axis=1))
 

@@ -325,7 +325,7 @@ class GuidanceEnv(DescentEnv):
       ``"sparse"`` (1 for a safe landing, otherwise 0). Default: the table [descent_reward] of the
       scenario.
     - ``render_mode``: ``"rgb_array"`` returns images of the descent plane with gauges; ``"human"``
-      shows them in a window; None disables rendering. Vector environments do not render.
+      shows them in a window (not with vector environments); None disables rendering.
     - ``worlds``, ``world_seed``: number of worlds (simulated terrains with rocks) in the pool and
       their root seed (defaults: 1 and 0). Each flight uses one of them. The terrain is a raster
       with a grid spacing of 0.1 m around the targets.

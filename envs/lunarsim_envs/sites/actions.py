@@ -17,8 +17,7 @@ from lunarsim.errors import InputError
 from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.value_checks import check_shape
 from lunarsim_envs.named_components import PER_LANDER, check_new, named_parts
-from lunarsim_envs.sites.observations import SITES
-from lunarsim_envs.sites.site_inputs import SiteInputs
+from lunarsim_envs.sites.site_inputs import SITES, SiteInputs
 
 Choice = IntArray
 

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.value_checks import check_shape
 from lunarsim_envs.named_components import PER_LANDER, check_new, named_parts
-from lunarsim_envs.sites.site_inputs import CROP_CELLS, MAP_CELLS, SiteInputs
+from lunarsim_envs.sites.site_features import FEATURES, site_features
+from lunarsim_envs.sites.site_inputs import CROP_CELLS, MAP_CELLS, SITES, SiteInputs
 
 Array = NDArray[Any]
 Shown = dict[str, NDArray[np.float32]]
 
-SITES = 20  # number of candidate sites in observations and actions
 # Bound of distances (m), speeds (m/s) and masses (kg) in observations; larger values are clipped.
 FAR = 5000.0
 
@@ -131,6 +131,10 @@ def _site(s: SiteInputs) -> Array:
     return np.stack((np.where(seen, p, 0.0), seen, np.minimum(cost, FAR), miss), axis=1)
 
 
+def _features(s: SiteInputs) -> Array:
+    return site_features(s)[0]
+
+
 def _small(s: SiteInputs) -> Array:
     return s.small
 
@@ -170,6 +174,11 @@ for _part in (
     SiteObservationComponent(
         "site", (4,), ("", "", "kg", "m"), [0.0, 0.0, 0.0, 0.0], [1.0, 1.0, FAR, FAR],
         "current site: p_safe, 1 if observed, propellant to reach it, expected miss", _site,
+    ),
+    SiteObservationComponent(
+        "site_features", (SITES + 1, len(FEATURES)), ("",), -100.0, 100.0,
+        "scaled features of each action, for a network that scores all of them alike: "
+        + ", ".join(FEATURES), _features,
     ),
     SiteObservationComponent(
         "hazard_crop", (2, CROP_CELLS, CROP_CELLS), ("",), 0.0, 1.0,

@@ -11,6 +11,7 @@ from lunarsim.onboard.policies import Observation
 from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim_envs.sites import _map_kernels as m
 
+SITES = 20  # number of candidate sites in observations and actions
 # Cells per side of the downsampled map and of the crop around the site; spacing of the crop, m.
 MAP_CELLS, CROP_CELLS, CROP_SPACING = 48, 33, 1.0
 

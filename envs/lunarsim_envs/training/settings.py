@@ -1,4 +1,4 @@
-"""Define the settings of a training of ``Guidance-v1``; they fix its result."""
+"""Define the settings of a training of descents; they fix its result."""
 
 from __future__ import annotations
 
@@ -19,6 +19,12 @@ class PpoSettings:
 
     Attributes
     ----------
+    environment
+        "Guidance-v1" or "Control-v1".
+    rate
+        Action rate, Hz.
+    discount
+        Discount factor per step.
     steps
         Total number of environment steps of all parallel flights.
     seed
@@ -33,6 +39,9 @@ class PpoSettings:
         Dispersion of the start, 1 sigma per axis, m and m/s.
     """
 
+    environment: str = "Guidance-v1"
+    rate: float = 5.0
+    discount: float = 0.99
     steps: int = 10_000_000
     seed: int = 0
     lanes: int = 256
@@ -74,3 +83,14 @@ class PpoSettings:
     def load(cls, path: Path) -> PpoSettings:
         """Read settings written by `save`."""
         return cls(**json.loads(path.read_text(encoding="utf-8")))
+
+
+# Settings of the trainings of the supplied agents, by environment. An action of ``Control-v1`` has
+# effects over many seconds, so it needs a smaller discount per second.
+SETTINGS = {
+    "Guidance-v1": PpoSettings(),
+    "Control-v1": PpoSettings(
+        environment="Control-v1", rate=10.0, discount=0.998, steps=4_000_000, lanes=128,
+        horizon=256, position_sigma=30.0, velocity_sigma=3.0,
+    ),
+}  # fmt: skip

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.typing import Array
-from lunarsim_envs.agents.site_network import FEATURES, SiteNetwork, features
+from lunarsim_envs.agents.site_network import SiteNetwork
 from lunarsim_envs.descent.batch import FLYING
 from lunarsim_envs.sites.batch import SiteDescentBatch
 from lunarsim_envs.sites.flights import site_inputs
-from lunarsim_envs.sites.observations import SITES
-from lunarsim_envs.sites.site_inputs import MAP_CELLS
+from lunarsim_envs.sites.site_features import FEATURES, site_features
+from lunarsim_envs.sites.site_inputs import MAP_CELLS, SITES
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def fly_networks(
     rows = np.arange(n)
     while (lanes.ended == FLYING).any():
         inputs = site_inputs(lanes, small)
-        x, good = features(inputs)
+        x, good = site_features(inputs)
         scores = np.einsum("nok,nk->no", x, linear)
         layer = np.tanh(np.einsum("nok,nhk->noh", x, inner) + bias[:, None])
         scores += np.einsum("noh,nh->no", layer, outer)

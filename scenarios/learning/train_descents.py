@@ -1,7 +1,8 @@
-"""Train an agent on `Guidance-v1` by proximal policy optimisation.
+"""Train an agent of Guidance-v1 or Control-v1 by proximal policy optimisation.
 
-python scenarios/learning/train_guidance.py --out out/ppo
-python scenarios/learning/train_guidance.py --out out/ppo     # resume after an interruption
+python scenarios/learning/train_descents.py --out out/ppo
+python scenarios/learning/train_descents.py --out out/ppo     # resume after an interruption
+python scenarios/learning/train_descents.py Control-v1 --out out/torques
 lunarsim evaluate Guidance-v1 --agent out/ppo/agent.npz --agent apollo
 
 It needs the extra `rl`: pip install ".[rl]", with PyTorch for processors without CUDA from
@@ -20,7 +21,8 @@ import click
 from rich.console import Console
 
 from lunarsim.console import plain_console
-from lunarsim_envs.training.settings import PpoSettings
+from lunarsim_envs.training.held_out import HeldOutResult
+from lunarsim_envs.training.settings import SETTINGS, PpoSettings
 
 # Reference agents of the final comparison on held-out seeds.
 REFERENCE_AGENTS = ("zero", "hover", "random", "apollo")
@@ -43,9 +45,8 @@ def compare(out: Path, settings: PpoSettings, episodes: int, console: Console) -
             "velocity_sigma_m_s": settings.velocity_sigma,
         }
     )
-    study = EvaluationStudy(
-        "lunarsim_envs:lunarsim/Guidance-v1", scenario, {"split": "test"}, seed=2
-    )
+    env = f"lunarsim_envs:lunarsim/{settings.environment}"
+    study = EvaluationStudy(env, scenario, {"split": "test"}, seed=2)
     agents = (str(out / "agent.npz"), *REFERENCE_AGENTS)
     rows = add_on_target(fly(study, agents, episodes, jobs=1), 10.0)
     console.print(agents_table(agent_metrics(rows, study.seed), 10.0))
@@ -54,14 +55,16 @@ def compare(out: Path, settings: PpoSettings, episodes: int, console: Console) -
 
 
 @click.command()
+@click.argument("environment", type=click.Choice(list(SETTINGS)), default="Guidance-v1")
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
     required=True,
     help="Folder for the results. If it has a saved training run, that run is continued.",
 )
-@click.option("--steps", type=click.IntRange(min=1), default=PpoSettings.steps, show_default=True,
-              help="Number of environment steps over all parallel episodes.")  # fmt: skip
+@click.option("--steps", type=click.IntRange(min=1), default=None,
+              help="Number of steps over all parallel episodes. Default: 10 million for "
+              "Guidance-v1, 4 million for Control-v1.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True,
               help="Random seed of the training.")  # fmt: skip
 @click.option("--evaluation-interval", type=click.IntRange(min=1), default=20,
@@ -70,12 +73,15 @@ show_default=True,
               "checkpoint.")  # fmt: skip
 @click.option("--episodes", type=click.IntRange(min=1), default=200, show_default=True,
               help="Number of flights per agent in the final comparison.")  # fmt: skip
-def main(out: Path, steps: int, seed: int, evaluation_interval: int, episodes: int) -> None:
-    """Train an agent of Guidance-v1 and compare it with reference agents."""
+def main(
+    environment: str, out: Path, steps: int | None, seed: int, evaluation_interval: int,
+    episodes: int,
+) -> None:  # fmt: skip
+    """Train an agent of an environment and compare it with reference agents."""
     console = plain_console(150, soft_wrap=True)
     try:
         from lunarsim_envs.training.curve import draw_curve
-        from lunarsim_envs.training.guidance import HeldOutResult, TrainingRun, train
+        from lunarsim_envs.training.descents import TrainingRun, train
     except ModuleNotFoundError as error:
         raise click.UsageError(
             f"The package {error.name} is missing. Install the extra `rl`."
@@ -89,7 +95,8 @@ def main(out: Path, steps: int, seed: int, evaluation_interval: int, episodes: i
             f"{seen.on_target:.3f}, propellant {spent}"
         )
 
-    settings = replace(PpoSettings(), steps=steps, seed=seed)
+    settings = SETTINGS[environment]
+    settings = replace(settings, steps=settings.steps if steps is None else steps, seed=seed)
     run = train(settings, out, evaluation_interval, report)
     (out / "curve.json").write_text(json.dumps(run.curve, indent=1), encoding="utf-8")
     draw_curve(run.curve, out / "curve.png")

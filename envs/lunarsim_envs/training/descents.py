@@ -1,4 +1,4 @@
-"""Train an agent of ``Guidance-v1`` by PPO, with checkpoints.
+"""Train an agent of ``Guidance-v1`` or ``Control-v1`` by PPO, with checkpoints.
 
 A resumed training gives bitwise the same result as an uninterrupted one. Checkpoints contain the
 agent, its optimiser, the flights in progress and all random generators.
@@ -11,7 +11,6 @@ import pickle
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,26 +22,27 @@ from stable_baselines3 import PPO
 from lunarsim.atomic_files import atomic_write_text
 from lunarsim.errors import InputError
 from lunarsim_envs.agents.network import Network
+from lunarsim_envs.training.held_out import HeldOutResult, evaluate_held_out
 from lunarsim_envs.training.sb3_vec_env import Sb3VecEnv
 from lunarsim_envs.training.settings import PpoSettings
 
-ENV = "lunarsim_envs:lunarsim/Guidance-v1"
-# Number of evaluation flights, and their seed, which no training uses.
-_LOOKED_AT, _LOOK_SEED = 300, 10**9
+# Number of flights of an evaluation.
+_FLIGHTS = 300
 
 
 def create_batch_env(
-    settings: PpoSettings, count: int
+    settings: PpoSettings, count: int, split: str = "train"
 ) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
-    """Create the vector environment of a training, with `count` parallel flights."""
+    """Create the vector environment of `count` parallel flights in a split."""
     return gymnasium.make_vec(
-        ENV, num_envs=count, vectorization_mode="vector_entry_point", autoreset_mode="SameStep",
-        changes=settings.changes,
+        f"lunarsim_envs:lunarsim/{settings.environment}", num_envs=count,
+        vectorization_mode="vector_entry_point", autoreset_mode="SameStep",
+        rate_hz=settings.rate, changes=settings.changes, split=split,
     )  # fmt: skip
 
 
-def policy_network(model: PPO) -> Network:
-    """Convert the policy of a Stable-Baselines3 PPO model to a NumPy network."""
+def _policy_network(model: PPO, environment: str) -> Network:
+    """Convert the policy of a PPO model, trained in `environment`, to a NumPy network."""
     flown = model.get_env().batch.unwrapped.descents
     parts = tuple(part.name for part in flown.shown.parts)
     policy = model.policy
@@ -55,48 +55,12 @@ def policy_network(model: PPO) -> Network:
 
     return Network(
         scaling.far, scaling.near, tuple(array(one.weight) for one in layers),
-        tuple(array(one.bias) for one in layers), "Guidance-v1", parts, 1.0 / flown.period,
+        tuple(array(one.bias) for one in layers), environment, parts, 1.0 / flown.period,
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class HeldOutResult:
-    """Result of an evaluation of an agent on seeds that the training does not use.
-
-    Attributes
-    ----------
-    on_target, safe
-        Fraction of safe landings within 10 m of the target, and of all safe landings.
-    propellant
-        Mean propellant of on-target landings, kg; NaN if there are none.
-    """
-
-    on_target: float
-    safe: float
-    propellant: float
-
-
-def evaluate_held_out(network: Network, settings: PpoSettings) -> HeldOutResult:
-    """Evaluate a network on 300 flights with seeds that the training does not use."""
-    batch = create_batch_env(settings, _LOOKED_AT)
-    observation, _ = batch.reset(seed=_LOOK_SEED)
-    waiting = np.ones(_LOOKED_AT, np.bool_)
-    safe, on_target = np.zeros(_LOOKED_AT, np.bool_), np.zeros(_LOOKED_AT, np.bool_)
-    burnt = np.full(_LOOKED_AT, np.nan)
-    while waiting.any():
-        observation, _, ended, late, info = batch.step(network(observation))
-        new = (ended | late) & waiting
-        if new.any():
-            safe[new] = info["safe"][new]
-            on_target[new] = safe[new] & (info["miss_m"][new] <= 10.0)
-            burnt[new] = info["propellant_kg"][new]
-            waiting &= ~new
-    spent = float(burnt[on_target].mean()) if on_target.any() else float("nan")
-    return HeldOutResult(float(on_target.mean()), float(safe.mean()), spent)
-
-
 class TrainingRun:
-    """PPO training of a ``Guidance-v1`` agent, with checkpoints in a folder.
+    """PPO training of an agent that flies descents, with checkpoints in a folder.
 
     Parameters
     ----------
@@ -142,7 +106,13 @@ class TrainingRun:
         env = Sb3VecEnv(create_batch_env(s, s.lanes))
         env.seed(s.seed)
         return PPO(
-            "MlpPolicy", env, n_steps=s.horizon, batch_size=s.batch, seed=s.seed, device="cpu"
+            "MlpPolicy",
+            env,
+            n_steps=s.horizon,
+            batch_size=s.batch,
+            gamma=s.discount,
+            seed=s.seed,
+            device="cpu",
         )
 
     def advance(self) -> None:
@@ -154,9 +124,20 @@ class TrainingRun:
         self.done += 1
         self.seconds += time.perf_counter() - start
 
+    @property
+    def network(self) -> Network:
+        """NumPy network of the present agent."""
+        return _policy_network(self.model, self.settings.environment)
+
+    def fly(self, split: str, flights: int) -> HeldOutResult:
+        """Evaluate the agent on flights in the worlds of a split."""
+        network = self.network
+        batch = create_batch_env(self.settings, flights, split)
+        return evaluate_held_out(batch, lambda observation, info: network(observation))
+
     def evaluate(self) -> HeldOutResult:
-        """Evaluate the agent on held-out seeds; append the result to the learning curve."""
-        seen = evaluate_held_out(policy_network(self.model), self.settings)
+        """Evaluate the agent in "validation"; append the result to the curve."""
+        seen = self.fly("validation", _FLIGHTS)
         row: dict[str, float] = {"update": self.done, "steps": int(self.model.num_timesteps)}
         row |= {"seconds": round(self.seconds, 1), "on_target": seen.on_target}
         row |= {"safe": seen.safe, "propellant_kg": seen.propellant}
@@ -179,7 +160,7 @@ class TrainingRun:
         atomic_write_text(new / "state.json", json.dumps(state, indent=1))
         shutil.rmtree(there, ignore_errors=True)
         new.rename(there)
-        policy_network(self.model).save(self.out / "agent.npz")
+        self.network.save(self.out / "agent.npz")
 
     def _resume(self) -> None:
         """Restore model, flights and random generators from the last checkpoint."""
@@ -198,7 +179,7 @@ def train(
     settings: PpoSettings, out: Path, interval: int,
     report: Callable[[TrainingRun, HeldOutResult], None],
 ) -> TrainingRun:  # fmt: skip
-    """Train a ``Guidance-v1`` agent to the end, with evaluations and checkpoints.
+    """Train an agent to the end, with evaluations and checkpoints.
 
     Parameters
     ----------
