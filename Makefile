@@ -35,7 +35,7 @@ results: $(STAMP)       ## the tables of docs/validation that come from docs/res
 
 # The tutorials are executed side by side into the cache that Sphinx reads.
 # The longest tutorials first, so that both processes end at about the same time.
-LONGEST := $(addprefix docs/tutorials/,guidance-law.md papers.md campaign.md p-safe.md own-terrain.md)
+LONGEST := $(addprefix docs/tutorials/,train-agent.md guidance-law.md papers.md campaign.md p-safe.md own-terrain.md)
 TUTORIALS := $(LONGEST) $(filter-out %/index.md $(LONGEST),$(wildcard docs/tutorials/*.md))
 CACHE := -p $(OUT)/.jupyter_cache
 

@@ -113,7 +113,8 @@ def evaluate(
 
     \b
       zero, random, hover, polynomial     built-in agents
-      apollo, e-guidance, ...             `lunarsim parts guidance`; for Guidance-v1
+      ppo, ppo-control, few-sites         trained networks that come with lunarsim
+      apollo, e-guidance, ...             `lunarsim parts guidance`; not for Retarget-v1
       safest, nearest-safe, ...           `lunarsim parts policy`; for Retarget-v1
       FILE.npz                            network, evaluated with NumPy only
       FILE.onnx                           exported network; needs the extra `onnx`

@@ -125,18 +125,18 @@ def max_pad_height(z, frame, x, y, disc):
 
 
 @kernel()
-def has_contact(y, pads, disc, z, frame):
+def has_contact(y, pads, disc, z, frame, max_rise):
     """Return whether at least one pad touches the terrain.
 
     `y` (15,) is the lander's state, `pads` (n, 3) are pad centres in body axes and `disc` (k, 2)
-    sample points of a pad, m; `z` and `frame` are those of `height_at`. Unknown terrain gives no
-    contact.
+    sample points of a pad, m; `z` and `frame` are those of `height_at`. `max_rise` is an upper
+    bound of the terrain under a pad above that under its centre, m; it avoids the samples while
+    the pad is higher. Unknown terrain gives no contact.
     """
     at = np.empty(3)
     for k in range(len(pads)):
         body_point(y, pads[k], at)
-        # Most of the flight is far above the terrain: a check at the centre avoids the disc.
-        if at[2] <= height_at(z, frame, at[0], at[1]) + 2.0 and at[2] <= max_pad_height(
+        if at[2] <= height_at(z, frame, at[0], at[1]) + max_rise and at[2] <= max_pad_height(
             z, frame, at[0], at[1], disc
         ):
             return True

@@ -29,7 +29,7 @@ _WORLDS = {"worlds": 24, "split": "test", "observation": ["to_go"]}
 POLICIES = ("no-divert", "safest", "nearest-safe", "fuel-aware", "few-sites")
 AGENTS = {
     "Guidance-v1": ("zero", "random", "hover", "polynomial", "apollo", "optimal", "ppo"),
-    "Control-v1": ("zero", "random", "hover", "apollo"),
+    "Control-v1": ("zero", "random", "hover", "apollo", "ppo-control"),
     "Retarget-v1, surrogate": ("random", *POLICIES),
     "Retarget-v1, truth": ("random", *POLICIES),
 }

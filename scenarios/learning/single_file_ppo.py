@@ -24,12 +24,12 @@ from lunarsim.errors import check_output
 
 ENV = "lunarsim_envs:lunarsim/Guidance-v1"
 ONE_OR_MORE = click.IntRange(min=1)
-GAMMA, LAMBDA, CLIP, EPOCHS, VALUE, MAX_GRADIENT = 0.99, 0.95, 0.2, 10, 0.5, 0.5
+GAMMA, LAMBDA, CLIP, VALUE, MAX_GRADIENT = 0.99, 0.95, 0.2, 0.5, 0.5
 
 
-def network(inputs: int, outputs: int, last: float) -> nn.Sequential:
-    """Return a network with two hidden layers of 64 units and orthogonal weights."""
-    layers = [nn.Linear(inputs, 64), nn.Linear(64, 64), nn.Linear(64, outputs)]
+def network(inputs: int, hidden: int, outputs: int, last: float) -> nn.Sequential:
+    """Return a network with two hidden layers and orthogonal weights."""
+    layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, size in zip(layers, (2**0.5, 2**0.5, last), strict=True):
         nn.init.orthogonal_(layer.weight, size)
         nn.init.zeros_(layer.bias)
@@ -39,9 +39,10 @@ def network(inputs: int, outputs: int, last: float) -> nn.Sequential:
 class ActorCritic(nn.Module):
     """Normal policy with a constant standard deviation, and a value network."""
 
-    def __init__(self, inputs: int, actions: int) -> None:
+    def __init__(self, inputs: int, hidden: int, actions: int) -> None:
         super().__init__()
-        self.mean, self.value = network(inputs, actions, 0.01), network(inputs, 1, 1.0)
+        self.mean = network(inputs, hidden, actions, 0.01)
+        self.value = network(inputs, hidden, 1, 1.0)
         self.log_deviation = nn.Parameter(torch.zeros(actions))
 
     def policy(self, seen: torch.Tensor) -> Normal:
@@ -65,14 +66,16 @@ def advantages(rewards: torch.Tensor, values: torch.Tensor, ends: torch.Tensor) 
 
 
 def update(
-    agent: ActorCritic, optimiser: torch.optim.Optimizer, data: list[torch.Tensor], batch: int
-) -> None:
+    agent: ActorCritic, optimiser: torch.optim.Optimizer, data: list[torch.Tensor], batch: int,
+    epochs: int,
+) -> None:  # fmt: skip
     """Improve the agent on one rollout.
 
     `data` has observations (n, inputs), actions (n, actions), and (n,) log probabilities,
-    advantages and returns; `batch` is the size of a minibatch.
+    advantages and returns. `batch` is the size of a minibatch, and `epochs` how often all data are
+    used.
     """
-    for _ in range(EPOCHS):
+    for _ in range(epochs):
         for chosen in torch.randperm(len(data[0])).split(batch):
             seen, actions, before, gain, returns = (one[chosen] for one in data)
             policy = agent.policy(seen)
@@ -89,35 +92,60 @@ def update(
 
 @click.command()
 @click.option(
-    "--steps", type=ONE_OR_MORE, default=3_000_000, show_default=True, help="Total number of steps."
+    "--steps",
+    type=ONE_OR_MORE,
+    default=20_000_000,
+    show_default=True,
+    help="Total number of steps.",
 )
 @click.option(
-    "--lanes", type=ONE_OR_MORE, default=64, show_default=True, help="Number of parallel flights."
+    "--lanes",
+    type=ONE_OR_MORE,
+    default=4096,
+    show_default=True,
+    help="Number of parallel flights.",
 )
 @click.option(
-    "--horizon", type=ONE_OR_MORE, default=128, show_default=True, help="Steps between two updates."
+    "--horizon", type=ONE_OR_MORE, default=32, show_default=True, help="Steps between two updates."
 )
 @click.option(
-    "--batch", type=ONE_OR_MORE, default=512, show_default=True, help="Size of a minibatch."
+    "--batch", type=ONE_OR_MORE, default=4096, show_default=True, help="Size of a minibatch."
 )
-@click.option("--rate", default=1e-3, show_default=True, help="Initial learning rate.")
+@click.option(
+    "--epochs",
+    type=ONE_OR_MORE,
+    default=2,
+    show_default=True,
+    help="How often an update uses each step.",
+)
+@click.option(
+    "--hidden", type=ONE_OR_MORE, default=32, show_default=True, help="Width of the hidden layers."
+)
+@click.option("--rate", default=3e-3, show_default=True, help="Initial learning rate.")
 @click.option("--seed", default=0, show_default=True, help="Root seed.")
 @click.option(
     "--out", type=click.Path(path_type=Path), default="ppo.onnx", show_default=True,
     help="ONNX file to write.",
 )  # fmt: skip
 def main(
-    steps: int, lanes: int, horizon: int, batch: int, rate: float, seed: int, out: Path
+    steps: int,
+    lanes: int,
+    horizon: int,
+    batch: int,
+    epochs: int,
+    hidden: int,
+    rate: float,
+    seed: int,
+    out: Path,
 ) -> None:
     """Train an agent of Guidance-v1 and write it to an ONNX file."""
     check_output("--out", out, ".onnx")
     torch.manual_seed(seed)
-    torch.set_num_threads(1)
     env = gymnasium.make_vec(
         ENV, num_envs=lanes, vectorization_mode="vector_entry_point", autoreset_mode="SameStep"
     )
     inputs, size = env.single_observation_space.shape[0], env.single_action_space.shape[0]
-    agent = ActorCritic(inputs, size)
+    agent = ActorCritic(inputs, hidden, size)
     optimiser = torch.optim.Adam(agent.parameters(), lr=rate, eps=1e-5)
     seen = torch.from_numpy(env.reset(seed=seed)[0])
     started, safe = time.perf_counter(), [False]
@@ -142,7 +170,7 @@ def main(
             values = agent.value(torch.cat((observations, seen[None])))[..., 0]
         gains = advantages(rewards, values, ends)
         rollout = [observations, actions, log_probs, gains, gains + values[:-1]]
-        update(agent, optimiser, [one.flatten(0, 1) for one in rollout], batch)
+        update(agent, optimiser, [one.flatten(0, 1) for one in rollout], batch, epochs)
         if n % 20 == 19:
             done, spent = (n + 1) * lanes * horizon, time.perf_counter() - started
             click.echo(

@@ -118,6 +118,20 @@ def against_plain(worlds, guided, count, scenario=ROUGH):
     return lanes
 
 
+def test_no_terrain_rises_faster_than_its_bound(worlds):
+    """Points up to 0.3 m apart; the bound is less than four times the steepest of 50,000 pairs."""
+    rng = np.random.default_rng(3)
+    x0, y0, posting = worlds.frame
+    for z, bound in zip(worlds.terrains, worlds.max_slopes, strict=True):
+        elevation = RasterGround(z, worlds.frame).elevation
+        extent = posting * (np.array(z.shape[::-1]) - 1.0)
+        xy = np.array([x0, y0]) + rng.uniform(0.3, extent - 0.3, (50_000, 2))
+        distance, angle = rng.uniform(0.001, 0.3, 50_000), rng.uniform(0.0, 2.0 * np.pi, 50_000)
+        there = xy + (distance * np.array([np.cos(angle), np.sin(angle)])).T
+        slope = (elevation(there) - elevation(xy)) / distance
+        assert np.abs(slope).max() <= bound * (1.0 + 1e-6) < 4.0 * np.abs(slope).max()
+
+
 @pytest.mark.parametrize("guided", [True, False])
 def test_descents_are_those_flown_plainly(worlds, guided):
     lanes = against_plain(worlds, guided, 3)

@@ -1,4 +1,4 @@
-"""The trained agent that comes with the package."""
+"""The trained agents that come with the package."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from tests.low_descents import LOW
 WIDE = PpoSettings().changes
 
 
-def landed(agent, count, seed):
+def landed(agent, count, seed, env="Guidance-v1", **arguments):
     """Return the share of flights that end safe within 10 m, and what those burnt on average."""
     vector = gymnasium.make_vec(
-        "lunarsim_envs:lunarsim/Guidance-v1", num_envs=count, autoreset_mode="SameStep",
-        vectorization_mode="vector_entry_point", changes=WIDE,
+        f"lunarsim_envs:lunarsim/{env}", num_envs=count, autoreset_mode="SameStep",
+        vectorization_mode="vector_entry_point", **({"changes": WIDE} | arguments),
     )  # fmt: skip
     observation, _ = vector.reset(seed=seed)
     waiting, good, burnt = np.ones(count, bool), np.zeros(count, bool), np.zeros(count)
@@ -49,6 +49,17 @@ def test_it_lands_on_seeds_that_no_training_has(network):
     share, burnt = landed(network, 500, 31)
     assert share >= binom.ppf(CHANCE, 500, 0.88) / 500
     assert 30.0 < burnt < 60.0
+
+
+def test_the_agent_of_control_lands_in_worlds_that_no_training_has():
+    """200 of 200 flights do (`lunarsim evaluate Control-v1 --agent ppo-control`)."""
+    network = Network.load(packaged_agents()["ppo-control"])
+    arguments = {"rate_hz": network.rate, "split": "test", "changes": {}}
+    share, burnt = landed(network, 200, 31, "Control-v1", **arguments)
+    assert network.rate == 10.0 and share >= binom.ppf(CHANCE, 200, 0.985) / 200
+    assert 45.0 < burnt < 56.0
+    blind = landed(lambda seen: network(np.zeros_like(seen)), 50, 31, "Control-v1", **arguments)
+    assert blind[0] == 0.0
 
 
 def test_it_is_what_lands_and_not_the_task(network):

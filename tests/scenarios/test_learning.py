@@ -23,9 +23,9 @@ def test_reference_scores_have_one_row_per_agent(script, monkeypatch, capsys):
     assert study.main() == 0
     rows = capsys.readouterr().out.strip().splitlines()[2:]
     assert [row.split("`")[1] for row in rows] == list(study.AGENTS["Control-v1"])
-    # A guidance law lands, and no other agent by chance.
+    # A guidance law and the trained agent land, and no other agent by chance.
     lands = ["| 1.000 [0.342, 1.000] |" in row for row in rows]
-    assert lands == [name == "apollo" for name in study.AGENTS["Control-v1"]]
+    assert lands == [name in ("apollo", "ppo-control") for name in study.AGENTS["Control-v1"]]
     for given, word in ((["--only", "Glide-v0"], "Guidance-v1"), (["--episodes", "0"], "episodes")):
         monkeypatch.setattr("sys.argv", ["x", *given])
         assert study.main() == 2

@@ -196,12 +196,14 @@ class TerrainRasters(NamedTuple):
     """Terrain of k worlds: heights with rocks, grid and height ranges, m.
 
     `z` (k, rows, cols) are heights; `frame` (3,) has east and north of cell (0, 0) and the grid
-    spacing; `levels` (k, 2) has minimum and maximum height.
+    spacing; `levels` (k, 2) has minimum and maximum height, and `max_rise` (k,) an upper bound of
+    the terrain under a pad above that under its centre, m.
     """
 
     z: np.ndarray
     frame: np.ndarray
     levels: np.ndarray
+    max_rise: np.ndarray
 
 
 class Flights(NamedTuple):
@@ -246,7 +248,7 @@ def _end_flight(i, y, vehicle, terrains, flights):
     """
     w = flights.world[i]
     z, frame = terrains.z[w], terrains.frame
-    if has_contact(y, vehicle.pads, vehicle.disc, z, frame):
+    if has_contact(y, vehicle.pads, vehicle.disc, z, frame, terrains.max_rise[w]):
         params = vehicle.params[i]
         flights.ended[i] = LANDED
         touchdown = TouchdownParams(

@@ -251,7 +251,8 @@ class DescentBatch:
             v.com_height + v.com_offset[2], craft.dynamics.inertia,
             v.wet_mass - craft.dynamics.lander.wet_mass, v.thrust_scale, v.torque_scale,
         )  # fmt: skip
-        self._terrains = k.TerrainRasters(worlds.terrains, worlds.frame, worlds.levels)
+        rise = 0.5 * v.pad_diameter * worlds.max_slopes + 1e-3  # 1 mm for rounding
+        self._terrains = k.TerrainRasters(worlds.terrains, worlds.frame, worlds.levels, rise)
 
     @property
     def _flights(self) -> k.Flights:

@@ -27,6 +27,15 @@ _MOST_BYTES = 4 * 2**30
 _SINGLE = 1e-6
 
 
+def _max_slope(height: NDArray[np.float32], posting: float) -> float:
+    """Return an upper bound of the slope of a bilinear surface through heights (rows, cols).
+
+    `posting` is the grid spacing, m. Differences to unknown heights do not count.
+    """
+    steps = [np.nanmax(np.abs(np.diff(height, axis=axis))) for axis in (0, 1)]
+    return float(np.hypot(*steps)) / posting
+
+
 @dataclass(frozen=True)
 class WorldPool:
     """Terrain rasters of k worlds around the target area.
@@ -40,6 +49,8 @@ class WorldPool:
         Heights without rocks, on which targets are placed, and the frame of their grid.
     levels
         Minimum and maximum height of each world (k, 2), m.
+    max_slopes
+        Upper bound of the slope of each world between its grid points (k,).
     covers
         Rock covers (area fractions). The worlds are grouped by cover in this order, with equal
         group sizes; the cover of the scenario is the first.
@@ -50,6 +61,7 @@ class WorldPool:
     rock_free_terrains: NDArray[np.float32]
     rock_free_frame: Array
     levels: Array
+    max_slopes: Array
     covers: tuple[float, ...]
 
     @classmethod
@@ -128,7 +140,10 @@ class WorldPool:
             )
         levels = np.stack((np.nanmin(height, (1, 2)), np.nanmax(height, (1, 2))), axis=1)
         frames = [np.array([g.x0, g.y0, g.posting]) for g in grids]
-        return cls(height, frames[0], relief, frames[1], levels.astype(np.float64), all_covers)
+        slopes = np.array([_max_slope(one, grids[0].posting) for one in terrains])
+        return cls(
+            height, frames[0], relief, frames[1], levels.astype(np.float64), slopes, all_covers
+        )
 
     def span(self, cover: float | None) -> tuple[int, int]:
         """Return index of the first world and number of worlds that have a rock cover.
