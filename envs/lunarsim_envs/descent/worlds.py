@@ -28,9 +28,9 @@ _SINGLE = 1e-6
 
 
 def _max_slope(height: NDArray[np.float32], posting: float) -> float:
-    """Return an upper bound of the slope of a bilinear surface through heights (rows, cols).
+    """Return an upper bound of the slope between heights (rows, cols).
 
-    `posting` is the grid spacing, m. Differences to unknown heights do not count.
+    The surface is bilinear, `posting` is the grid spacing, m. Unknown heights do not count.
     """
     steps = [np.nanmax(np.abs(np.diff(height, axis=axis))) for axis in (0, 1)]
     return float(np.hypot(*steps)) / posting
