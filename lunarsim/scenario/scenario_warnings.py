@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from lunarsim.messages.measurements import CameraImage
+from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.guidance.rotation import tilt_torque
 from lunarsim.onboard.hazards.mapper import sensor_names
 from lunarsim.parts import PartSettings, kinds
 from lunarsim.scenario.scenario import Scenario
@@ -56,10 +58,10 @@ def warnings_for(scenario: Scenario) -> list[str]:
 
 
 def _true_lander_warnings(scenario: Scenario) -> Iterator[str]:
-    """Yield a warning if the true lander, unlike the nominal one, cannot hover."""
+    """Yield warnings if the true lander cannot hover, sink or balance its engine."""
     if scenario.truth.make().vehicle == VehicleDeviations():
         return
-    lander = scenario.true_lander()
+    lander, nominal = scenario.true_lander(), scenario.vehicle.make()
     thrust = lander.thrust_scale * lander.thrust_max
     weight = lander.wet_mass * scenario.gravity_m_s2
     if thrust <= weight:
@@ -67,6 +69,23 @@ def _true_lander_warnings(scenario: Scenario) -> Iterator[str]:
             f"truth.vehicle: the maximum thrust of the true lander is {thrust:.0f} N, less than "
             f"its weight of {weight:.0f} N, got thrust_scale = {lander.thrust_scale:g}."
         )
+    least, dry = lander.thrust_scale * lander.thrust_min, lander.dry_mass * scenario.gravity_m_s2
+    if least >= dry and nominal.thrust_min < nominal.dry_mass * scenario.gravity_m_s2:
+        yield (
+            f"truth.vehicle: the minimum thrust of the true lander is {least:.0f} N, at least its "
+            f"weight of {dry:.0f} N without propellant, so that it may climb before touchdown, got "
+            f"thrust_scale = {lander.thrust_scale:g}."
+        )
+    if isinstance(lander, JetLander):
+        angle = max(float(np.abs(lander.thrust_misalignment).max()) - lander.engine.gimbal_limit, 0)
+        arm = lander.engine.pivot_depth + min(lander.com_dry[2], lander.com_full[2])
+        torque, able = weight * arm * np.sin(angle), float(tilt_torque(lander))
+        if torque >= able:
+            yield (
+                f"truth.vehicle: the misaligned thrust turns the hovering lander with "
+                f"{torque:.0f} N m, more than the {able:.0f} N m of its thrusters, got "
+                f"thrust_misalignment_deg = {_listed(np.rad2deg(lander.thrust_misalignment))}."
+            )
 
 
 def _lander_warnings(lander: Lander) -> Iterator[str]:

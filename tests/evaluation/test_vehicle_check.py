@@ -17,6 +17,7 @@ from lunarsim.evaluation.vehicle_check.attitude import (
     guidance_delay,
     offset_torques,
     slosh_torque,
+    trim_angles,
 )
 from lunarsim.evaluation.vehicle_check.descent_checks import tip_over_speed
 from lunarsim.evaluation.vehicle_check.mission import Mission
@@ -48,6 +49,7 @@ SLOSH = (
     "vehicle.slosh.height_m=0.3",
 )  # fmt: skip
 TANKS = ("vehicle.com_full_m=[0.05, 0, 0]", "vehicle.com_dry_m=[-0.05, 0, 0]")
+BESIDE = ("vehicle.com_full_m=[0.1, 0, 0]", "vehicle.com_dry_m=[0.1, 0, 0]")
 TURNS = {"approach-rotation-time", "divert-rotation-time", "terminal-loop-delay"}
 # Each misdesign of the scenario `instruments`: changes, violated rows that name it, and other rows
 # that may be violated because they follow from it. Those marked "flown" did not land
@@ -108,11 +110,24 @@ MISDESIGNS = {
         {"throttle-gap"}, set(),
     ),
     "centre of mass off axis": (
-        (*JETS, "vehicle.com_full_m=[0.3, 0, 0]"), {"offset-torque"}, set(),
+        (*JETS, "vehicle.com_full_m=[0.3, 0, 0]"), {"offset-torque"}, {"touchdown-tilt"},
     ),
     "offset without gimbal": (
         (*JETS, "vehicle.com_full_m=[0, 0.1, 0]", "vehicle.engine.gimbal_limit_deg=0",
          "vehicle.thrust_min_n=100"), {"offset-torque"}, set(),
+    ),
+    "offset with empty tanks": (
+        (*JETS, "vehicle.com_dry_m=[0.3, 0, 0]"), {"offset-torque"}, {"touchdown-tilt"},
+    ),
+    "slow gimbal": (
+        (*JETS, *BESIDE, "vehicle.engine.gimbal_rate_deg_s=0.05"), {"offset-torque"},
+        {"touchdown-tilt"},
+    ),
+    "gimbal without a rate (flown)": (
+        (*JETS, *BESIDE, "vehicle.engine.gimbal_rate_deg_s=0"), {"offset-torque"}, set(),
+    ),
+    "tilt of a trimmed gimbal (flown)": (
+        (*JETS, *BESIDE, "vehicle.tilt_limit_deg=5"), {"touchdown-tilt"}, set(),
     ),
     "heavy slosh, weak thrusters": (
         (*JETS, *SLOSH, "vehicle.thrusters.force_n=25"), {"slosh-torque"}, TURNS,
@@ -324,6 +339,28 @@ def test_offset_torque_is_what_the_gimbal_leaves():
     # About body x, the gimbal removes all.
     expected = [0.0, abs(about_y)]
     assert offset_torques(lander, 1100.0, thrust) == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_gimbal_trims_at_its_rate():
+    """Half a second at 2 deg/s, then its limit of 3 deg; about body x there is nothing to trim."""
+    engine = DescentEngine(
+        pivot_depth=0.8, gimbal_limit=np.deg2rad(3.0), gimbal_rate=np.deg2rad(2.0)
+    )
+    lander = JetLander(com_dry=(0.1, 0.0, 0.1), engine=engine, thrust_min=100.0)
+    angles = trim_angles(lander, 1100.0, np.array([0.0, 0.5, 60.0]))
+    assert np.rad2deg(angles) == pytest.approx(np.array([[0.0, 0.0], [0.0, 1.0], [0.0, 3.0]]))
+    torques = offset_torques(lander, 1100.0, np.array([2000.0, 3000.0]), np.array([0.0, 0.5]))
+    d = np.deg2rad(1.0)
+    late = 3000.0 * (0.1 * np.cos(d) - 0.9 * np.sin(d))
+    assert torques == pytest.approx(np.array([[0.0, 200.0], [0.0, late]]))
+
+
+def test_a_trimmed_gimbal_tilts_the_hovering_lander():
+    row = checked("instruments", (*JETS, "vehicle.com_dry_m=[0.03, 0.04, 0]",
+                                  "vehicle.com_full_m=[0.03, 0.04, 0]"))  # fmt: skip
+    dead_band = checked("instruments", JETS).named("touchdown-tilt").available
+    trim = np.rad2deg(np.hypot(np.arctan2(0.04, 0.8), np.arctan2(0.03, 0.8)))
+    assert row.named("touchdown-tilt").available == pytest.approx(dead_band + trim)
 
 
 def test_slosh_torque_is_that_of_a_pendulum():

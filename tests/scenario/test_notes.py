@@ -27,6 +27,16 @@ def test_the_default_study_has_nothing_odd():
     ("tables", "begins", "told"),
     [
         (
+            {"vehicle": {"thrust_min_n": 1700.0}, "truth": {"vehicle": {"thrust_scale": 1.4}}},
+            "truth.vehicle: the minimum thrust of the true lander is 2380 N", "weight of 1784 N",
+        ),
+        (
+            {"vehicle": {"kind": "jet-lander", "engine": {"gimbal_limit_deg": 0.0}},
+             "control": {"kind": "phase-plane"},
+             "truth": {"vehicle": {"thrust_misalignment_deg": [8.0, 0.0]}}},
+            "truth.vehicle: the misaligned thrust turns", "thrust_misalignment_deg = [8, 0]",
+        ),
+        (
             {"sensor_faults": {"a": {"kind": "bias", "sensor": "altimeter"}}},
             "sensor_faults.a.size = 0", "no effect",
         ),

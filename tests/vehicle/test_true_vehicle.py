@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
 from lunarsim.models.jet_lander import JetLander
@@ -14,6 +15,8 @@ from lunarsim.models.lander import STANDARD_GRAVITY, Lander
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.vehicle import Dynamics, State, evaluate_touchdown
+from lunarsim.vehicle.actuators import Actuators
+from lunarsim.vehicle.dynamics import build_rig
 from lunarsim.vehicle.legs import Legs, settle
 from lunarsim.vehicle.true_vehicle import VehicleDeviations
 from tests.worlds import SMALL_FLIGHT
@@ -102,6 +105,25 @@ def test_thrust_beside_the_centre_of_mass_turns_the_lander():
     moment = lander.inertia(lander.wet_mass)[1]
     assert state.rate[1] == pytest.approx(3000.0 * 0.05 / moment * 0.01, rel=1e-4)
     np.testing.assert_allclose(lander.com(1300.0), (0.05, 0.0, 0.0))
+
+
+def test_an_offset_moves_the_centre_of_mass_with_full_and_with_empty_tanks():
+    nominal = JetLander(com_dry=(0.02, 0.0, 0.1), com_full=(0.0, -0.03, 0.2))
+    lander = VehicleDeviations(com_offset=(0.01, 0.02, -0.05)).true_lander(nominal)
+    np.testing.assert_allclose(lander.com(nominal.dry_mass), (0.03, 0.02, 0.05))
+    np.testing.assert_allclose(lander.com(nominal.wet_mass), (0.01, -0.01, 0.15))
+
+
+def test_a_gimballed_engine_is_misaligned_about_the_angle_of_its_gimbal():
+    """The thrust axis is the third column of the rotation by gimbal angle plus misalignment."""
+    angles = np.deg2rad([1.5, -0.7])
+    true = VehicleDeviations(thrust_misalignment=tuple(angles)).true_lander(JetLander())
+    rig = Actuators(true, 0.01).rig(np.zeros(3), 0.0)
+    expected = Rotation.from_euler("xy", angles).as_matrix()[:, 2]
+    wanted = build_rig(engine=expected, pivot=(0.0, 0.0, -true.engine.pivot_depth))
+    np.testing.assert_allclose(rig, wanted, atol=2e-4)
+    straight = Actuators(JetLander(), 0.01).rig(np.zeros(3), 0.0)
+    assert np.abs(rig - straight).max() > 0.02
 
 
 def test_inertia_and_control_torque_scale_the_angular_acceleration():

@@ -65,18 +65,32 @@ def turn_time(mission: Mission, angle: float, mass: float | None = None) -> floa
     return float(limits.time(angle, mission.start_mass if mass is None else mass))
 
 
-def offset_torques(lander: JetLander, mass: float, thrust: float) -> Array:
-    """Return the engine's torque about body x and y that the gimbal leaves (2,), N m.
+def trim_angles(lander: JetLander, mass: float, time: Array | float = np.inf) -> Array:
+    """Return the gimbal angles about body x and y that trim the engine (..., 2), rad.
+
+    They point the thrust at the centre of mass, as far as the limit and the rate of the gimbal
+    allow within a `time` (...,), s. `mass` is in kg.
+    """
+    engine, com = lander.engine, lander.com(mass)
+    arm = max(engine.pivot_depth + float(com[2]), 0.0)
+    moved = engine.gimbal_rate * np.asarray(time)[..., None] if engine.gimbal_rate > 0.0 else 0.0
+    wanted = np.arctan2(np.abs(com[[1, 0]]), arm)
+    return np.asarray(np.minimum(wanted, np.minimum(engine.gimbal_limit, moved)))
+
+
+def offset_torques(
+    lander: JetLander, mass: float, thrust: Array | float, time: Array | float = np.inf
+) -> Array:
+    """Return the torque about body x and y that the gimbal leaves (..., 2), N m.
 
     With the offset c of the centre of mass from the engine's axis, the arm a from the gimbal's
     pivot to the centre of mass and the gimbal angle d, the torque is ``F (c cos d - a sin d)``. The
-    gimbal removes it at ``tan d = c / a``; beyond its limit the rest remains. `mass` is in kg,
-    `thrust` F in N.
+    gimbal removes it at ``tan d = c / a``; before it is there, and beyond its limit, the rest
+    remains. `mass` is in kg, `thrust` F (...,) in N, and `time` (...,) since the start in s.
     """
-    com = lander.com(mass)
+    com, d = lander.com(mass), trim_angles(lander, mass, time)
     arm, offset = max(lander.engine.pivot_depth + float(com[2]), 0.0), np.abs(com[[1, 0]])
-    d = np.minimum(np.arctan2(offset, arm), lander.engine.gimbal_limit)
-    return np.asarray(thrust * (offset * np.cos(d) - arm * np.sin(d)))
+    return np.asarray(np.asarray(thrust)[..., None] * (offset * np.cos(d) - arm * np.sin(d)))
 
 
 def slosh_torque(
@@ -190,12 +204,17 @@ def _overshoot(mission: Mission) -> list[Found]:
 
 
 def _offset_torque(mission: Mission) -> list[Found]:
-    """Return the worst offset torque, with full or empty tanks, and its limit."""
-    lander, thrust = mission.lander, mission.path.thrust
+    """Return the worst offset torque, with full or empty tanks, and its limit.
+
+    With full tanks, the gimbal moves from its middle since the start.
+    """
+    lander, path = mission.lander, mission.path
     if not isinstance(lander, JetLander):
         return []
     able = allocation_of(lander.thrusters).authority[:2]
-    full = offset_torques(lander, mission.start_mass, float(thrust[: len(thrust) // 2 + 1].max()))
+    half = slice(len(path.time) // 2 + 1)
+    torques = offset_torques(lander, mission.start_mass, path.thrust[half], path.time[half])
+    full = torques.max(axis=0)
     empty = offset_torques(lander, lander.dry_mass, mission.terminal_thrust)
     pairs = zip((*full, *empty), (*able, *able), strict=True)
     return one(*max(pairs, key=lambda pair: pair[0] / pair[1]))
@@ -260,7 +279,8 @@ ATTITUDE_CHECKS = (
     Check("offset-torque", "disturbance", "N m", AT_LEAST, 1.0, _offset_torque,
         "control torque against the engine's offset torque",
         "the engine rotates the lander: move vehicle.com_full_m and com_dry_m to the engine's "
-        "axis, or raise vehicle.engine.gimbal_limit_deg or vehicle.thrusters.force_n"),
+        "axis, or raise vehicle.engine.gimbal_limit_deg, gimbal_rate_deg_s or "
+        "vehicle.thrusters.force_n"),
     Check("slosh-torque", "disturbance", "N m", AT_LEAST, 1.0, _slosh,
         "control torque against the torque of sloshing propellant",
         "slosh rotates the lander after each divert: add tanks (vehicle.slosh.tanks_m), lower "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim.core.touchdown import tip_margin
+from lunarsim.evaluation.vehicle_check.attitude import trim_angles
 from lunarsim.evaluation.vehicle_check.mission import Mission
 from lunarsim.evaluation.vehicle_check.rows import AT_LEAST, AT_MOST, Check, Found, one
 from lunarsim.models.jet_lander import JetLander
@@ -179,14 +180,19 @@ def _remaining_tilt(mission: Mission, law: VerticalDescent) -> tuple[float, floa
 def _touchdown_tilt(mission: Mission) -> list[Found]:
     """Return the tilt limit, and the tilt that can remain at touchdown.
 
-    A phase-plane control leaves its dead band.
+    A phase-plane control leaves its dead band. A lander whose gimbal points the thrust at a centre
+    of mass beside the engine's axis hovers with the tilt of the gimbal.
     """
-    law, control = mission.vertical_descent, mission.software.control
+    law, lander, control = mission.vertical_descent, mission.lander, mission.software.control
     if law is None:
         return []
     if isinstance(control, PhasePlane):
-        return one(mission.lander.tilt_limit, law.max_tilt_at_touchdown + control.dead_band)
-    return one(mission.lander.tilt_limit, _remaining_tilt(mission, law)[0])
+        tilt = law.max_tilt_at_touchdown + control.dead_band
+    else:
+        tilt = _remaining_tilt(mission, law)[0]
+    if isinstance(lander, JetLander):
+        tilt += float(np.hypot(*trim_angles(lander, mission.touchdown_mass)))
+    return one(lander.tilt_limit, tilt)
 
 
 def _touchdown_rate(mission: Mission) -> list[Found]:
@@ -264,8 +270,8 @@ DESCENT_CHECKS = (
         "landings violate the limit: lower terminal_descent.tolerated_speed_m_s"),
     Check("touchdown-tilt", "gear", "deg", AT_MOST, 0.25, _touchdown_tilt,
         "tilt that guidance and attitude control allow at touchdown",
-        "landings violate the limit, or the lander drifts: lower control.dead_band_deg, or raise "
-        "control.frequency_rad_s"),
+        "landings violate the limit, or the lander drifts: lower control.dead_band_deg, raise "
+        "control.frequency_rad_s, or move vehicle.com_dry_m to the engine's axis"),
     Check("touchdown-rate", "gear", "deg/s", AT_MOST, 0.25, _touchdown_rate,
         "angular rate that guidance and attitude control allow at touchdown",
         "landings violate the limit: raise terminal_descent.upright_time_s"),

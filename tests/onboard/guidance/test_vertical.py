@@ -133,7 +133,7 @@ def test_a_distant_site_does_not_make_the_lander_drift_too_fast_to_land():
 
 
 @pytest.mark.parametrize("misalignment", [8.0, 10.0])
-def test_a_steady_force_above_the_tilt_at_touchdown_does_not_move_a_lander_that_holds(misalignment):
+def test_a_lander_that_holds_against_a_steady_force_stays_below_the_speed_limit(misalignment):
     """The thrust axis is off by an angle that the law can compensate at 3 m, but not at 0.5 m."""
     law = VerticalDescent(gravity=G)
     r, v, push = (
@@ -245,18 +245,18 @@ def test_the_current_tilt_counts_until_the_lander_has_responded():
     assert [law.can_reach(state, GROUND) for state in (level, ahead, back)] == [True, False, True]
 
 
-@pytest.mark.parametrize("first", [0.0, 3.0])
-def test_a_slow_rotation_shifts_the_stop_by_a_double_integral(first):
+@pytest.mark.parametrize(("first", "gravity"), [(0.0, G), (3.0, G), (3.0, 3.71)])
+def test_a_slow_rotation_shifts_the_stop_by_a_double_integral(first, gravity):
     """From 20 deg upright at 0.02 rad/s^2: 8.4 s, in which the acceleration falls to zero."""
     lander, tilt = LANDER, np.deg2rad(20.0)
     slow = RotationLimits(0.02 * float(max(lander.inertia(1300.0)[:2])), np.inf, 0.0, lander)
-    law = replace(VerticalDescent().for_lag(0.5, G, 1100.0), rotation=slow, max_offset=1e3)
+    law = replace(VerticalDescent().for_lag(0.5, gravity, 1100.0), rotation=slow, max_offset=1e3)
     speed, place = first, 0.0
     duration = 2.0 * np.sqrt(tilt / 0.02)
     for left in np.linspace(1.0, 0.0, 20001):  # the acceleration decreases linearly
-        speed += G * np.tan(tilt) * left * duration / 20001
+        speed += gravity * np.tan(tilt) * left * duration / 20001
         place += speed * duration / 20001
-    stop = place + 0.5 * speed**2 / (G * np.tan(law.max_tilt))
+    stop = place + 0.5 * speed**2 / (gravity * np.tan(law.max_tilt))
     back = np.array([0.0, np.sin(0.5 * tilt), 0.0, np.cos(0.5 * tilt)])
     for room, reaches in ((0.999, False), (1.001, True)):
         state = estimate([1e3 - room * stop, 0.0, 10.0], [first, 0.0, -2.0], 1300.0)
@@ -266,6 +266,19 @@ def test_a_slow_rotation_shifts_the_stop_by_a_double_integral(first):
     assert law.max_final_tilt(1300.0, 0.1, 1e6) == pytest.approx(0.1)
     assert law.max_final_tilt(1300.0, 0.1, 0.0) == pytest.approx(np.deg2rad(2.0))
     assert law.max_final_tilt(1300.0, 0.01, 0.0) == 0.01
+
+
+def test_a_hover_descends_and_climbs_at_limited_speeds():
+    """From 60 m below and above the wanted height: at most 4 m/s up and 2 m/s down."""
+    law = VerticalDescent(gravity=G)
+    for height, fastest in ((30.0, 4.0), (150.0, -2.0)):
+        r, v, seen = np.array([0.0, 0.0, height]), np.zeros(3), []
+        for _ in range(2000):
+            v = v + 0.01 * (law.hover(estimate(r, v), 90.0) - np.array([0.0, 0.0, G]))
+            r = r + 0.01 * v
+            seen.append(v[2])
+        assert min(seen) >= -2.01 and max(seen) <= 4.01
+        assert max(seen, key=abs) == pytest.approx(fastest, abs=0.2)
 
 
 @pytest.mark.parametrize("max_tilt", [12.0, 50.0])
