@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import warnings
 from dataclasses import replace
 
@@ -18,6 +20,7 @@ from lunarsim_envs.training.held_out import evaluate_held_out
 from lunarsim_envs.training.settings import SETTINGS, PpoSettings
 from tests.envs import site_scene
 from tests.low_descents import IDS, LOW, batch
+from tests.worlds import SCENARIOS
 
 SMALL = replace(PpoSettings(), lanes=32, horizon=16, batch=64, steps=4 * 32 * 16)
 
@@ -121,6 +124,24 @@ def test_a_training_goes_on_bit_for_bit(tmp_path):
         agent = agent_of(str(tmp_path / "parts" / name), env, trust_pickle=True)
         agent.begin(np.random.default_rng(0))
         assert agent.act(seen, {}) == pytest.approx(wanted, abs=1e-5)
+
+
+@pytest.mark.slow
+def test_the_script_of_the_guide_lands_after_three_million_steps(tmp_path):
+    """With the defaults of Stable-Baselines3; one seed of 0.98 and another processor may differ."""
+    stable = pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
+    script = SCENARIOS / "learning" / "minimal_ppo.py"
+    subprocess.run([sys.executable, str(script)], cwd=tmp_path, check=True, capture_output=True)
+    model = stable.PPO.load(tmp_path / "minimal_ppo.zip", device="cpu")
+    flights = gymnasium.make_vec(
+        "lunarsim_envs:lunarsim/Guidance-v1", num_envs=300, autoreset_mode="SameStep",
+        vectorization_mode="vector_entry_point", split="test",
+    )  # fmt: skip
+
+    def agent(seen, info):
+        return model.predict(seen, deterministic=True)[0]
+
+    assert evaluate_held_out(flights, agent).safe > 0.9
 
 
 @pytest.mark.slow
