@@ -18,12 +18,12 @@ from typing import Any
 
 import click
 import numpy as np
+from numpy.typing import NDArray
 from rich.table import Table
 from scipy.stats import t as student
 
 from lunarsim.errors import missing_package
 from lunarsim.studies import Case, Report, Study, run_script
-from lunarsim.typing import Array
 from lunarsim.viz.style import COLOURS, new_figure, save
 from lunarsim_envs.training.settings import SETTINGS, PpoSettings
 
@@ -81,7 +81,7 @@ def _train_descents(settings: Any, steps: int | None, seed: int, add: Any) -> No
         add(int(run.model.num_timesteps), run.seconds, TEST, run.fly(TEST, TEST_FLIGHTS))
 
 
-def mean_interval(values: Array) -> tuple[float, float]:
+def mean_interval(values: NDArray[np.float64]) -> tuple[float, float]:
     """Return the mean of n values and the half width of its 95 % interval; NaN if n is 1."""
     n = len(values)
     if n < 2:

@@ -19,6 +19,7 @@ import gymnasium
 import torch
 from sb3_contrib import MaskablePPO
 
+from lunarsim import InputError
 from lunarsim.errors import check_output
 from lunarsim_envs.training.held_out import HeldOutResult, evaluate_held_out
 from lunarsim_envs.training.sb3_vec_env import Sb3VecEnv
@@ -93,8 +94,11 @@ def train(steps: int, seed: int, checks: int, report: Report) -> MaskablePPO:
 )  # fmt: skip
 def main(steps: int, seed: int, out: Path) -> None:
     """Train an agent of Retarget-v1 and save its network."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    check_output("--out", out, ".npz")
+    try:
+        check_output("--out", out, ".npz")
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except (InputError, OSError) as error:
+        raise click.UsageError(str(error)) from None
 
     def report(done: int, seconds: float, split: str, result: HeldOutResult) -> None:
         click.echo(

@@ -20,6 +20,7 @@ import torch
 from torch import nn
 from torch.distributions import Normal
 
+from lunarsim import InputError
 from lunarsim.errors import check_output
 
 ENV = "lunarsim_envs:lunarsim/Guidance-v1"
@@ -121,8 +122,14 @@ def update(
 @click.option(
     "--hidden", type=ONE_OR_MORE, default=32, show_default=True, help="Width of the hidden layers."
 )
-@click.option("--rate", default=3e-3, show_default=True, help="Initial learning rate.")
-@click.option("--seed", default=0, show_default=True, help="Root seed.")
+@click.option(
+    "--rate",
+    type=click.FloatRange(min=0, max=1, min_open=True),
+    default=3e-3,
+    show_default=True,
+    help="Initial learning rate.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Root seed.")
 @click.option(
     "--out", type=click.Path(path_type=Path), default="ppo.onnx", show_default=True,
     help="ONNX file to write.",
@@ -139,7 +146,10 @@ def main(
     out: Path,
 ) -> None:
     """Train an agent of Guidance-v1 and write it to an ONNX file."""
-    check_output("--out", out, ".onnx")
+    try:
+        check_output("--out", out, ".onnx")
+    except InputError as error:
+        raise click.UsageError(str(error)) from None
     torch.manual_seed(seed)
     env = gymnasium.make_vec(
         ENV, num_envs=lanes, vectorization_mode="vector_entry_point", autoreset_mode="SameStep"

@@ -20,6 +20,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
+from lunarsim import InputError
 from lunarsim.console import plain_console
 from lunarsim_envs.training.held_out import HeldOutResult
 from lunarsim_envs.training.settings import SETTINGS, PpoSettings
@@ -97,7 +98,10 @@ def main(
 
     settings = SETTINGS[environment]
     settings = replace(settings, steps=settings.steps if steps is None else steps, seed=seed)
-    run = train(settings, out, evaluation_interval, report)
+    try:
+        run = train(settings, out, evaluation_interval, report)
+    except (InputError, OSError) as error:
+        raise click.UsageError(str(error)) from None
     (out / "curve.json").write_text(json.dumps(run.curve, indent=1), encoding="utf-8")
     draw_curve(run.curve, out / "curve.png")
     compare(out, settings, episodes, console)

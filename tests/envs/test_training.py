@@ -75,6 +75,40 @@ def test_held_out_results_without_a_safe_landing():
     assert np.isnan(evaluate_held_out(sites, lambda seen, info: np.zeros(3, int)).on_target)
 
 
+@pytest.mark.parametrize("mode", ["SameStep", "NextStep"])
+def test_a_truncated_flight_is_no_safe_landing(mode):
+    network = Network.load(packaged_agents()["ppo"])
+    flights = batch(IDS[0], 4, autoreset_mode=mode, max_episode_steps=5)
+    result = evaluate_held_out(flights, lambda seen, info: network(seen))
+    assert result.safe == 0.0 and np.isnan(result.propellant)
+
+
+def test_settings_of_another_version_are_refused(tmp_path):
+    for text in ('{"environment": "Guidance-v1", "foo": 1}', "{", "[]"):
+        (tmp_path / "settings.json").write_text(text)
+        with pytest.raises(InputError, match="settings: must be a file of this version"):
+            PpoSettings.load(tmp_path / "settings.json")
+
+
+@pytest.mark.slow
+def test_an_agent_is_evaluated_in_the_split_that_is_named(tmp_path, monkeypatch):
+    """And trained in the split "train"."""
+    pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
+    from lunarsim_envs.training.descents import TrainingRun
+
+    made, original = [], gymnasium.make_vec
+
+    def spy(*arguments, **options):
+        made.append(options["split"])
+        return original(*arguments, **options)
+
+    monkeypatch.setattr(gymnasium, "make_vec", spy)
+    run = TrainingRun(SMALL, tmp_path)
+    run.evaluate()
+    run.fly("test", 2)
+    assert made == ["train", "validation", "test"]
+
+
 @pytest.mark.slow
 def test_two_trainings_are_the_same_bits(tmp_path):
     pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")

@@ -95,10 +95,12 @@ class Network:
     def _check(self) -> None:
         """Raise ValueError if shapes of layers are inconsistent or values not finite."""
         width = 2 * len(self.far)
+        if not 0.01 <= self.rate <= 1000.0:
+            raise ValueError(f"the action rate is {self.rate:g} Hz")
         if not self.weights or self.near.shape != self.far.shape:
             raise ValueError("layers or scales are missing")
         for weight, bias in zip(self.weights, self.biases, strict=True):
-            if weight.shape != (len(bias), width):
+            if bias.ndim != 1 or weight.shape != (len(bias), width):
                 raise ValueError(f"a layer has weights of shape {weight.shape}, but {width} inputs")
             if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
                 raise ValueError("a layer has values that are not finite")
@@ -164,4 +166,4 @@ class NetworkAgent:
         if self._step % self._steps == 0:
             self._action = self._network(observation)
         self._step += 1
-        return self._action
+        return self._action.copy()

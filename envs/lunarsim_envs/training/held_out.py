@@ -21,7 +21,7 @@ class HeldOutResult:
     ----------
     safe, on_target
         Fraction of safe landings, and of safe landings within 10 m of the target; the second is NaN
-        in environments whose target can change.
+        in environments whose target can change, and if no flight ends.
     propellant
         Mean propellant of safe landings, kg; NaN if there are none.
     """
@@ -39,7 +39,8 @@ def evaluate_held_out(
     Parameters
     ----------
     batch
-        Vector environment with the autoreset mode "SameStep".
+        Vector environment with the autoreset mode "SameStep". A truncated flight counts as one
+        without a safe landing.
     agent
         Function of observations and info that returns the actions.
     seed
@@ -47,15 +48,18 @@ def evaluate_held_out(
     """
     observation, info = batch.reset(seed=seed)
     waiting = np.ones(batch.num_envs, np.bool_)
-    safe, miss, burnt = np.zeros((3, batch.num_envs))
+    safe, burnt = np.zeros((2, batch.num_envs))
+    miss, has_miss = np.full(batch.num_envs, np.inf), False
     while waiting.any():
         observation, _, ended, late, info = batch.step(agent(observation, info))
         new = (ended | late) & waiting
-        if new.any():
-            safe[new], burnt[new] = info["safe"][new], info["propellant_kg"][new]
-            miss[new] = info["miss_m"][new] if "miss_m" in info else np.nan
-            waiting &= ~new
+        landed = new & ended
+        if landed.any():
+            safe[landed], burnt[landed] = info["safe"][landed], info["propellant_kg"][landed]
+            if "miss_m" in info:
+                miss[landed], has_miss = info["miss_m"][landed], True
+        waiting &= ~new
     good = safe > 0.0
-    on_target = np.nan if np.isnan(miss).all() else float((good & (miss <= 10.0)).mean())
+    on_target = float((good & (miss <= 10.0)).mean()) if has_miss else float("nan")
     spent = float(burnt[good].mean()) if good.any() else float("nan")
     return HeldOutResult(float(good.mean()), on_target, spent)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lunarsim.atomic_files import atomic_write_text
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, error_reason
 
 
 @dataclass(frozen=True)
@@ -81,8 +81,19 @@ class PpoSettings:
 
     @classmethod
     def load(cls, path: Path) -> PpoSettings:
-        """Read settings written by `save`."""
-        return cls(**json.loads(path.read_text(encoding="utf-8")))
+        """Read settings written by `save`.
+
+        Raises
+        ------
+        InputError
+            If the file is not one of this version.
+        """
+        try:
+            return cls(**json.loads(path.read_text(encoding="utf-8")))
+        except (OSError, ValueError, TypeError) as error:
+            raise InputError(
+                "settings", str(path), f"must be a file of this version ({error_reason(error)})"
+            ) from None
 
 
 # Settings of the trainings of the supplied agents, by environment. An action of ``Control-v1`` has
