@@ -43,8 +43,9 @@ def train(case: Case) -> Rows:
         import sb3_contrib
     except ModuleNotFoundError as error:
         raise InputError(
-            "learning_curves", error.name, "must be installed", "Install the extra `rl`."
-        ) from None
+            "learning_curves", None, f"needs the package {error.name}, which is not installed",
+            "Install the extra `rl`.", show_value=False,
+        ) from None  # fmt: skip
     assert sb3_contrib.__name__
     rows: Rows = []
 
