@@ -113,7 +113,7 @@ def evaluate(
 
     \b
       zero, random, hover, polynomial     built-in agents
-      ppo, ppo-control, few-sites         trained networks that come with lunarsim
+      ppo, ppo-control, ppo-sites, few-sites  trained networks that come with lunarsim
       apollo, e-guidance, ...             `lunarsim parts guidance`; not for Retarget-v1
       safest, nearest-safe, ...           `lunarsim parts policy`; for Retarget-v1
       FILE.npz                            network, evaluated with NumPy only

@@ -26,7 +26,7 @@ from lunarsim_envs.evaluation.results import AgentMetrics, agent_metrics
 
 # Pool for site selection; no training flies a world of the split "test".
 _WORLDS = {"worlds": 24, "split": "test", "observation": ["to_go"]}
-POLICIES = ("no-divert", "safest", "nearest-safe", "fuel-aware", "few-sites")
+POLICIES = ("no-divert", "safest", "nearest-safe", "fuel-aware", "few-sites", "ppo-sites")
 AGENTS = {
     "Guidance-v1": ("zero", "random", "hover", "polynomial", "apollo", "optimal", "ppo"),
     "Control-v1": ("zero", "random", "hover", "apollo", "ppo-control"),

@@ -321,7 +321,7 @@ def flown(env, name, seed):
     return rewards, np.array(did)
 
 
-@pytest.mark.parametrize("name", ["nearest-safe", "few-sites", "zero"])
+@pytest.mark.parametrize("name", ["nearest-safe", "few-sites", "ppo-sites", "zero"])
 def test_agents_of_sites_leave_the_time_as_it_comes(name):
     plainly, rows = flown(RetargetEnv(**SITE), name, 3)
     rewards, did = flown(made(), name, 3)
