@@ -113,7 +113,8 @@ def evaluate(
 
     \b
       zero, random, hover, polynomial     built-in agents
-      ppo, ppo-control, ppo-sites, few-sites  trained networks that come with lunarsim
+      ppo, ppo-control                    trained networks; Guidance-v1, Control-v1
+      ppo-sites, few-sites                trained networks for Retarget-v1
       apollo, e-guidance, ...             `lunarsim parts guidance`; not for Retarget-v1
       safest, nearest-safe, ...           `lunarsim parts policy`; for Retarget-v1
       FILE.npz                            network, evaluated with NumPy only
