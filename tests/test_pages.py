@@ -120,18 +120,12 @@ def _every(group):
             yield from _every(command)
 
 
-# Scenarios with images and many measurements, of which pages use the first seconds as well.
-_LONG = {"camera_and_lidar", "instruments"}
-
-
 @pytest.fixture(scope="module")
 def fly():
-    """Return `lunarsim.fly` with shorter flights of long scenarios; equal calls fly once."""
+    """Return `lunarsim.fly` that flies equal calls once."""
     original, flown = lunarsim.fly, {}
 
     def shared(scenario, **options):
-        if scenario in _LONG:
-            options["simulation"] = {"max_time_s": 12.0}
         call = repr((scenario, sorted(options.items())))
         if call not in flown:
             flown[call] = original(scenario, **options)

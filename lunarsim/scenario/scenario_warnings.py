@@ -69,12 +69,13 @@ def _true_lander_warnings(scenario: Scenario) -> Iterator[str]:
             f"truth.vehicle: the maximum thrust of the true lander is {thrust:.0f} N, less than "
             f"its weight of {weight:.0f} N, got thrust_scale = {lander.thrust_scale:g}."
         )
-    least, dry = lander.thrust_scale * lander.thrust_min, lander.dry_mass * scenario.gravity_m_s2
-    if least >= dry and nominal.thrust_min < nominal.dry_mass * scenario.gravity_m_s2:
+    thrust_min = lander.thrust_scale * lander.thrust_min
+    dry_weight = lander.dry_mass * scenario.gravity_m_s2
+    if thrust_min >= dry_weight and nominal.thrust_min < nominal.dry_mass * scenario.gravity_m_s2:
         yield (
-            f"truth.vehicle: the minimum thrust of the true lander is {least:.0f} N, at least its "
-            f"weight of {dry:.0f} N without propellant, so that it may climb before touchdown, got "
-            f"thrust_scale = {lander.thrust_scale:g}."
+            f"truth.vehicle: the minimum thrust of the true lander is {thrust_min:.0f} N, more "
+            f"than its weight of {dry_weight:.0f} N without propellant: it may climb before "
+            f"touchdown, got thrust_scale = {lander.thrust_scale:g}."
         )
     if isinstance(lander, JetLander):
         angle = max(float(np.abs(lander.thrust_misalignment).max()) - lander.engine.gimbal_limit, 0)

@@ -65,17 +65,24 @@ def turn_time(mission: Mission, angle: float, mass: float | None = None) -> floa
     return float(limits.time(angle, mission.start_mass if mass is None else mass))
 
 
+def _offset_and_arm(lander: JetLander, mass: float) -> tuple[Array, float]:
+    """Return the offset of the centre of mass and the gimbal's arm, m.
+
+    The offset (2,) is from the engine's axis; it turns the lander about body x and y.
+    """
+    com = lander.com(mass)
+    return np.abs(com[[1, 0]]), max(lander.engine.pivot_depth + float(com[2]), 0.0)
+
+
 def trim_angles(lander: JetLander, mass: float, time: Array | float = np.inf) -> Array:
     """Return the gimbal angles about body x and y that trim the engine (..., 2), rad.
 
     They point the thrust at the centre of mass, as far as the limit and the rate of the gimbal
     allow within a `time` (...,), s. `mass` is in kg.
     """
-    engine, com = lander.engine, lander.com(mass)
-    arm = max(engine.pivot_depth + float(com[2]), 0.0)
+    engine, (offset, arm) = lander.engine, _offset_and_arm(lander, mass)
     moved = engine.gimbal_rate * np.asarray(time)[..., None] if engine.gimbal_rate > 0.0 else 0.0
-    wanted = np.arctan2(np.abs(com[[1, 0]]), arm)
-    return np.asarray(np.minimum(wanted, np.minimum(engine.gimbal_limit, moved)))
+    return np.asarray(np.minimum(np.arctan2(offset, arm), np.minimum(engine.gimbal_limit, moved)))
 
 
 def offset_torques(
@@ -88,8 +95,7 @@ def offset_torques(
     gimbal removes it at ``tan d = c / a``; before it is there, and beyond its limit, the rest
     remains. `mass` is in kg, `thrust` F (...,) in N, and `time` (...,) since the start in s.
     """
-    com, d = lander.com(mass), trim_angles(lander, mass, time)
-    arm, offset = max(lander.engine.pivot_depth + float(com[2]), 0.0), np.abs(com[[1, 0]])
+    (offset, arm), d = _offset_and_arm(lander, mass), trim_angles(lander, mass, time)
     return np.asarray(np.asarray(thrust)[..., None] * (offset * np.cos(d) - arm * np.sin(d)))
 
 

@@ -76,10 +76,10 @@ def test_a_million_cells_take_less_than_300_megabytes():
 
 def test_repeated_calls_keep_nothing():
     points, grid = detector(16, 12.0), Grid.centred((0.0, 0.0), 12.0, 0.2)
-    for _ in range(100):
+    for _ in range(200):
         chain(points, grid, 16)
     before = trimmed()
-    for _ in range(400):
+    for _ in range(1000):
         chain(points, grid, 16)
-    # One additional map of each kind per call would take 24 MB.
+    # One additional map of each kind per call would take 60 MB.
     assert trimmed() - before < 3.0
