@@ -23,8 +23,8 @@ class PpoSettings:
         "Guidance-v1" or "Control-v1".
     rate
         Action rate, Hz.
-    discount
-        Discount factor per step.
+    discount_per_s
+        Discount factor per second of flight.
     steps
         Total number of environment steps of all parallel flights.
     seed
@@ -41,7 +41,7 @@ class PpoSettings:
 
     environment: str = "Guidance-v1"
     rate: float = 5.0
-    discount: float = 0.99
+    discount_per_s: float = 0.98
     steps: int = 10_000_000
     seed: int = 0
     lanes: int = 256
@@ -55,8 +55,14 @@ class PpoSettings:
         for name in ("steps", "lanes", "horizon", "batch"):
             if getattr(self, name) < 1:
                 raise InputError(name, getattr(self, name), "must be 1 or more")
-        if not 0.0 < self.learning_rate < 1.0:
-            raise InputError("learning_rate", self.learning_rate, "must be between 0 and 1")
+        for name in ("learning_rate", "discount_per_s"):
+            if not 0.0 < getattr(self, name) < 1.0:
+                raise InputError(name, getattr(self, name), "must be between 0 and 1")
+
+    @property
+    def discount(self) -> float:
+        """Discount factor per step."""
+        return float(self.discount_per_s ** (1.0 / self.rate))
 
     @property
     def changes(self) -> dict[str, Any]:
@@ -96,12 +102,11 @@ class PpoSettings:
             ) from None
 
 
-# Settings of the trainings of the supplied agents, by environment. An action of ``Control-v1`` has
-# effects over many seconds, so its discount factor is closer to 1: 0.98 per second, not 0.95.
+# Settings of the trainings of the supplied agents, by environment.
 SETTINGS = {
     "Guidance-v1": PpoSettings(),
     "Control-v1": PpoSettings(
-        environment="Control-v1", rate=10.0, discount=0.998, steps=4_000_000, lanes=128,
+        environment="Control-v1", rate=10.0, steps=4_000_000, lanes=128,
         horizon=256, position_sigma=30.0, velocity_sigma=3.0,
     ),
 }  # fmt: skip
