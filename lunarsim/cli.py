@@ -30,6 +30,7 @@ from lunarsim.cli_common import (
     wide_console,
 )
 from lunarsim.cli_evaluate import evaluate
+from lunarsim.cli_interface import interface
 from lunarsim.cli_scenario import parts, scenario
 from lunarsim.cli_start import INTERRUPTED, run
 from lunarsim.cli_study import study
@@ -59,7 +60,7 @@ def main() -> None:
 
 
 for _command in (
-    agent, campaign, sweep, replay, terrain, scenario, vehicle, parts, evaluate, study
+    agent, campaign, sweep, replay, terrain, scenario, vehicle, parts, evaluate, study, interface
 ):  # fmt: skip
     main.add_command(_command)
 
@@ -83,9 +84,19 @@ for _command in (
     help="New folder for the scenario, the flight record and the figures. Default: no files are "
     "written.",
 )  # fmt: skip
+@click.option(
+    "--pace", type=FloatRange(min=0, min_open=True), default=None, metavar="RATE",
+    help="Simulated time divided by wall-clock time, for instance 1.0; prints the number of "
+    "control cycles that take longer. Default: as fast as possible.",
+)  # fmt: skip
+@click.option(
+    "--record-messages", "messages", type=PATH, default=None, metavar="DIR",
+    help="New folder for records of the calls of external software, which `lunarsim interface "
+    "replay` repeats.",
+)  # fmt: skip
 def fly(
     scenario: Path, changes: tuple[str, ...], policy: str | None, guidance: str | None, seed: int,
-    flight: int, out: Path | None,
+    flight: int, out: Path | None, pace: float | None, messages: Path | None,
 ) -> None:  # fmt: skip
     """Fly one descent of SCENARIO and print its outcome.
 
@@ -95,21 +106,28 @@ def fly(
     from lunarsim.onboard.navigation.map_features import lock_forecast
     from lunarsim.rng import flight_seed
     from lunarsim.simulation import Simulation
+    from lunarsim.simulation.pacing import Pacer
 
     loaded = load_scenario(scenario, changes, parts={"policy": policy, "guidance": guidance})
-    if out is not None:
-        check_folder(out)
+    for folder in (out, messages):
+        if folder is not None:
+            check_folder(folder)
     maps = any(mapper.kind == "gaussian-dem" for mapper in loaded.mappers.values())
     beside = ["lunarsim.safety.compile_kernels"] + ["--exact"] * (out is not None)
     with report_compilation(beside if maps else []):
-        simulation = Simulation(loaded, flight_seed(seed, flight), loaded.policy.kind)
+        simulation = Simulation(
+            loaded, flight_seed(seed, flight), loaded.policy.kind, messages=messages
+        )
+        pacer = None if pace is None else Pacer(pace, simulation.briefing.cycle)
         forecast = lock_forecast(simulation.briefing)
         if forecast is not None and not forecast.can_lock:
             click.echo(f"warning: {forecast}", err=True)
-        record = simulation.run()
+        record = simulation.run(pacer)
         if out is not None:
             # This call compiles kernels, so it must run inside the block that counts them.
             simulation.truth.is_safe_at(simulation.site[:2])
+    if pacer is not None:
+        click.echo(str(pacer), err=True)
     if out is not None:
         # Save before printing: the reader of a pipe may close it early.
         remove = new_contents_remover(out)

@@ -13,12 +13,12 @@ import click
 
 from lunarsim.atomic_files import remove_contents_on_error
 from lunarsim.cli_common import (
-    ALLOW_MODULE,
     PATH,
     FloatRange,
     IntRange,
     add_to_interrupt_message,
     allow_named_modules,
+    allow_options,
     cache_options,
     load_scenario,
     open_cache,
@@ -70,7 +70,7 @@ campaign.add_command(threshold)
 
 @campaign.command()
 @click.argument("spec", type=PATH)
-@ALLOW_MODULE
+@allow_options
 @click.option(
     "--out", type=PATH, default=None, show_default="standard output",
     help="File for the planned flights, one row each: CSV (.csv) or Parquet (.parquet).",
@@ -110,7 +110,7 @@ def plan(spec: Path, out: Path | None) -> None:
 
 @campaign.command("run")
 @click.argument("spec", type=PATH)
-@ALLOW_MODULE
+@allow_options
 @_OUT
 @click.option(
     "--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True,
@@ -496,7 +496,7 @@ def diff(first: Path, second: Path, margin: float, metric: str, require_equivale
 
 @click.command()
 @_FOLDER
-@ALLOW_MODULE
+@allow_options
 @click.option(
     "--flight",
     required=True,

@@ -114,11 +114,32 @@ def _allow(ctx: click.Context, _: click.Parameter, names: tuple[str, ...]) -> No
         raise error.with_field("--allow-module") from None
 
 
-ALLOW_MODULE = click.option(
+def _allow_programs(ctx: click.Context, _: click.Parameter, paths: tuple[Path, ...]) -> None:
+    """Allow files to run the named programs and libraries while the command runs."""
+    from lunarsim.parts.program_permission import programs_allowed
+
+    try:
+        ctx.with_resource(programs_allowed(paths))
+    except InputError as error:
+        raise error.with_field("--allow-program") from None
+
+
+_ALLOW_MODULE = click.option(
     "--allow-module", multiple=True, metavar="MODULE", expose_value=False, callback=_allow,
     help="Allow scenario files and other input files to run code of this Python module or package. "
     "Repeatable.",
 )  # fmt: skip
+_ALLOW_PROGRAM = click.option(
+    "--allow-program", multiple=True, type=PATH, metavar="FILE", expose_value=False,
+    callback=_allow_programs,
+    help="Allow scenario files and other input files to run this program or shared library. "
+    "Repeatable.",
+)  # fmt: skip
+
+
+def allow_options(command: F) -> F:
+    """Add ``--allow-module`` and ``--allow-program`` to a click command; return it."""
+    return _ALLOW_MODULE(_ALLOW_PROGRAM(command))
 
 
 def allow_named_modules(*texts: str | None) -> None:
@@ -132,8 +153,8 @@ def allow_named_modules(*texts: str | None) -> None:
 
 
 def scenario_options(command: F) -> F:
-    """Add SCENARIO, ``--set`` and ``--allow-module`` to a click command; return it."""
-    return _FILE(_SET(ALLOW_MODULE(command)))
+    """Add SCENARIO, ``--set`` and permissions to a click command; return it."""
+    return _FILE(_SET(allow_options(command)))
 
 
 _CACHE = click.option(

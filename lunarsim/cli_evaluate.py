@@ -13,13 +13,13 @@ import click
 
 from lunarsim.atomic_files import remove_contents_on_error
 from lunarsim.cli_common import (
-    ALLOW_MODULE,
     PATH,
     SEED,
     FloatRange,
     IntRange,
     add_to_interrupt_message,
     allow_named_modules,
+    allow_options,
     progress_bar,
     wide_console,
 )
@@ -45,7 +45,7 @@ from lunarsim.errors import InputError, check_folder
     "--set", "values", multiple=True, metavar="KEY=VALUE",
     help="Set a scenario key, for example sun.elevation_deg=5. Repeat the option for several keys.",
 )  # fmt: skip
-@ALLOW_MODULE
+@allow_options
 @click.option(
     "--perception", default=None, metavar="NAME", show_default="surrogate",
     help="Source of the hazard map in Retarget-v1: surrogate (statistical model of map errors), "

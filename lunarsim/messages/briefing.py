@@ -60,6 +60,8 @@ class FlightSoftware:
         Settings of the braking phase before the approach; None: no such phase.
     designation_window
         Look angles within which a site can be designated; None: no limit.
+    computer
+        Settings of an external onboard computer; None: the onboard computer of lunarsim.
     """
 
     navigation: Any
@@ -72,6 +74,7 @@ class FlightSoftware:
     terminal_descent: Any = None
     braking: Any = None
     designation_window: Any = None
+    computer: Any = None
 
 
 @dataclass(frozen=True)

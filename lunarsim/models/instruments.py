@@ -138,3 +138,8 @@ class StarTrackerInstrument:
     """
 
     misalignment: float
+
+
+@dataclass(frozen=True)
+class NavigationFixInstrument:
+    """Calibration of an external navigation system: empty, as each fix has its covariance."""

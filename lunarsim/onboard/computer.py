@@ -38,6 +38,7 @@ from lunarsim.onboard.navigation.landing_accuracy import allows_landing
 from lunarsim.onboard.navigation.measurement_sequencer import MeasurementSequencer
 from lunarsim.onboard.phases import Phase, PhaseSequence
 from lunarsim.onboard.policies.contract import (
+    BuiltPerFlight,
     Candidates,
     Decision,
     Observation,
@@ -87,7 +88,7 @@ class OnboardComputer:
     def __init__(self, briefing: Briefing, policy: RetargetingPolicy | None = None) -> None:
         software = briefing.software
         self.briefing = briefing
-        self.policy = policy
+        self.policy = policy.build(briefing) if isinstance(policy, BuiltPerFlight) else policy
         self.lander = briefing.lander
         self.approach = software.approach
         self.decisions = software.decisions
@@ -107,7 +108,7 @@ class OnboardComputer:
         self._braking_law: Any = None
         if self.braking is not None:
             self._braking_law = self.braking.law_settings().build(briefing, lag)
-        self.attitude_loop = attitude_loop(control, self.lander, briefing.step)
+        self.attitude_loop = attitude_loop(briefing)
         self.throttle = (
             ThrottleRegions(self.lander.engine) if isinstance(self.lander, JetLander) else None
         )
@@ -550,6 +551,15 @@ class OnboardComputer:
         situation = Situation(soon.time, self._height(soon), self.site, soon)
         tasks = (part.task(situation) for part in self.tasking)
         return tuple(task for task in tasks if task is not None)
+
+    def close(self) -> None:
+        """End external software of this flight; all other parts need no end."""
+        for part in (
+            self.guidance, self.vertical, self.policy, self.attitude_loop.law,
+            *self.mappers.values(),
+        ):  # fmt: skip
+            if hasattr(part, "close"):
+                part.close()
 
     def stop_sensors(self) -> None:
         """Stop the measurements of all steerable sensors."""

@@ -118,6 +118,8 @@ CONTRACTS: dict[str, Contract] = {
             "shadow": "lunarsim.onboard.hazards.shadows.mapping:ShadowMapping",
             "quadtree": "lunarsim.onboard.hazards.quadtree.mapper:QuadtreeMapperSettings",
             "fused": "lunarsim.onboard.hazards.fusion.mapper:FusedMapperSettings",
+            "library": "lunarsim.onboard.external.mapper:LibraryMapper",
+            "process": "lunarsim.onboard.external.mapper:ProcessMapper",
         },
         ("build", "accepts", "sensor"),
     ),
@@ -131,6 +133,8 @@ CONTRACTS: dict[str, Contract] = {
             "fuel-aware": "lunarsim.onboard.policies.library:FuelAware",
             "scoreboard": "lunarsim.onboard.policies.library:ScoreboardChoice",
             "truth-oracle": "lunarsim.simulation.oracle:TruthOracle",
+            "library": "lunarsim.onboard.external.policy:LibraryPolicy",
+            "process": "lunarsim.onboard.external.policy:ProcessPolicy",
         },
         ("decide", "name"),
     ),
@@ -150,8 +154,18 @@ CONTRACTS: dict[str, Contract] = {
             "information-seeking": (
                 "lunarsim.onboard.active_perception.guidance:InformationSeekingLaw"
             ),
+            "library": "lunarsim.onboard.external.guidance:LibraryGuidance",
+            "process": "lunarsim.onboard.external.guidance:ProcessGuidance",
         },
         ("build", "cost"),
+    ),
+    "computer": Contract(
+        "complete onboard computer",
+        {
+            "library": "lunarsim.onboard.external.computer:LibraryComputer",
+            "process": "lunarsim.onboard.external.computer:ProcessComputer",
+        },
+        ("build",),
     ),
     "terminal-descent": Contract(
         "guidance law of the terminal descent",
@@ -160,6 +174,8 @@ CONTRACTS: dict[str, Contract] = {
             "rate-of-descent": "lunarsim.onboard.guidance.rate_of_descent:RateOfDescent",
             "gravity-turn": "lunarsim.onboard.guidance.gravity_turn:GravityTurn",
             "velocity-null": "lunarsim.onboard.guidance.velocity_null:VelocityNull",
+            "library": "lunarsim.onboard.external.guidance:LibraryTerminalDescent",
+            "process": "lunarsim.onboard.external.guidance:ProcessTerminalDescent",
         },
         ("build",),
     ),
@@ -172,6 +188,8 @@ CONTRACTS: dict[str, Contract] = {
                 "lunarsim.onboard.control.quaternion_feedback:QuaternionFeedback"
             ),
             "phase-plane": "lunarsim.onboard.control.phase_plane:PhasePlane",
+            "library": "lunarsim.onboard.external.control:LibraryControl",
+            "process": "lunarsim.onboard.external.control:ProcessControl",
         },
         ("torques", "torque", "response_time"),
     ),

@@ -16,6 +16,7 @@ from lunarsim.onboard.policies.decisions import DecisionSettings
 from lunarsim.onboard.policies.window import CrewWindow
 from lunarsim.rocks.population import RockExpectation, RockPopulation
 from lunarsim.scenario.mission import (
+    CommandDelay,
     InitialUncertainty,
     PlannedSite,
     RecordSettings,
@@ -54,12 +55,16 @@ OPTIONAL: dict[str, type] = {
     "domain_randomization": DomainRandomization,
     "braking": Braking,
     "window": CrewWindow,
+    "command_delay": CommandDelay,
     "record": RecordSettings,
     "site_reward": SiteReward,
     "descent_reward": DescentReward,
 }
 # Optional tables of a part selected by `kind`: contract.
-OPTIONAL_SELECTED: dict[str, str] = {"terminal_descent": "terminal-descent"}
+OPTIONAL_SELECTED: dict[str, str] = {
+    "terminal_descent": "terminal-descent",
+    "computer": "computer",
+}
 # Tables of a part selected by `kind`: contract and default kind.
 SELECTED: dict[str, tuple[str, str]] = {
     "terrain": ("terrain", "fractal"),

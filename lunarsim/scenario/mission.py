@@ -130,6 +130,32 @@ class PlannedSite:
 
 
 @dataclass(frozen=True)
+class CommandDelay:
+    """Delay between the measurements of a cycle and the effect of the commands.
+
+    Attributes
+    ----------
+    latency, jitter
+        Constant delay, and maximum of an additional random delay, s.
+    measured
+        Whether the computing time of the onboard computer is added.
+    """
+
+    latency: float = quantity(
+        0.0, "s", ge=0, le=10, help="Constant delay from the measurements of a control cycle until "
+        "the commands computed from them take effect",
+    )  # fmt: skip
+    jitter: float = quantity(
+        0.0, "s", ge=0, le=10, help="Maximum of an additional delay, uniform from 0 and new in "
+        "each control cycle",
+    )  # fmt: skip
+    measured: bool = quantity(
+        False, help="Whether the measured computing time of the onboard computer is added; the "
+        "flight then cannot be repeated exactly",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
 class RecordSettings:
     """Optional content of the flight record.
 

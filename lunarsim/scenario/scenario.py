@@ -19,7 +19,10 @@ from pydantic import ValidationError
 from lunarsim.atomic_files import atomic_write_text
 from lunarsim.errors import InputError
 from lunarsim.messages.briefing import FlightSoftware
-from lunarsim.parts import PartSettings, kinds, module_permission, resolve, settings_of
+from lunarsim.parts import PartSettings, kinds, resolve, settings_of
+from lunarsim.parts.module_permission import allow_modules as permit_modules
+from lunarsim.parts.module_permission import allowed_modules
+from lunarsim.parts.program_permission import allow_programs, allowed_programs
 from lunarsim.scenario import layout
 from lunarsim.scenario.checks import check
 from lunarsim.scenario.errors import input_error, key_hint, unknown_key_error
@@ -102,6 +105,8 @@ class Scenario:
     window: tables.WindowTable | None
     terminal_descent: tables.TerminalDescentTable | None
     control: tables.ControlTable
+    computer: tables.ComputerTable | None
+    command_delay: tables.CommandDelayTable | None
     simulation: tables.SimulationTable
     record: tables.RecordTable | None
     site_reward: tables.SiteRewardTable | None
@@ -133,7 +138,7 @@ class Scenario:
         >>> Scenario.from_dict({"rocks": {"cover": 0.1}}).rocks.cover
         0.1
         """
-        module_permission.allow_modules(*allow_modules)
+        permit_modules(*allow_modules)
         scenario = cls._unchecked(data, folder)
         check(scenario)
         check_memory(scenario)
@@ -271,7 +276,7 @@ class Scenario:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the scenario as nested dictionaries, which are checked again on loading."""
-        return _from_process, (self.to_dict(), module_permission.allowed_modules())
+        return _from_process, (self.to_dict(), allowed_modules(), allowed_programs())
 
     def software(self) -> FlightSoftware:
         """Create the settings of all software that runs on the onboard computer."""
@@ -288,6 +293,7 @@ class Scenario:
             else self.terminal_descent.make(),
             braking=None if self.braking is None else self.braking.make(),
             designation_window=None if self.window is None else self.window.make(),
+            computer=None if self.computer is None else self.computer.make(),
         )
 
     def check_hover(self) -> None:
@@ -345,8 +351,11 @@ class Scenario:
         atomic_write_text(Path(path), self.to_toml())
 
 
-def _from_process(tables: dict[str, Any], modules: tuple[str, ...]) -> Scenario:
-    """Unpickle a scenario; allow the modules that the pickling process allowed."""
+def _from_process(
+    tables: dict[str, Any], modules: tuple[str, ...], programs: tuple[Path, ...]
+) -> Scenario:
+    """Unpickle a scenario; allow the modules and programs that the pickling process allowed."""
+    allow_programs(*programs)
     return Scenario.from_dict(tables, allow_modules=modules)
 
 

@@ -355,6 +355,16 @@ class WindowChanges(TypedDict, total=False):
     lower_edge_deg: float
     upper_edge_deg: float
 
+class CommandDelayTable(PartSettings):
+    jitter_s: float
+    latency_s: float
+    measured: bool
+
+class CommandDelayChanges(TypedDict, total=False):
+    jitter_s: float
+    latency_s: float
+    measured: bool
+
 class RecordTable(PartSettings):
     images: bool
     measurements: bool
@@ -530,98 +540,152 @@ class NavigationChanges(TypedDict, total=False):
 class PolicyTable(SelectedPart):
     kind: str
     abort_altitude_m: float
+    arguments: tuple[str, ...]
+    configuration: str
+    deadline_s: float
     hysteresis: float
+    isolated: bool
     min_clearance_m: float
     p_safe_min: float
+    path: Path | str | None
+    program: Path | str | None
     propellant_weight: float
+    start_time_s: float
+    transport: Literal["unix", "tcp"]
     value_weight: float
 
 class PolicyChanges(TypedDict, total=False):
     kind: str
     abort_altitude_m: float
+    arguments: tuple[str, ...]
+    configuration: str
+    deadline_s: float
     hysteresis: float
+    isolated: bool
     min_clearance_m: float
     p_safe_min: float
+    path: Path | str | None
+    program: Path | str | None
     propellant_weight: float
+    start_time_s: float
+    transport: Literal["unix", "tcp"]
     value_weight: float
 
 class GuidanceTable(SelectedPart):
     kind: str
+    arguments: tuple[str, ...]
     candidates: int
+    configuration: str
+    deadline_s: float
     frequency_rad_s: float
     gain: float
     gamma: float
     handover_s: float
     interval_s: float
     intervals: int
+    isolated: bool
     iterations: int
     jerk_m_s3: float
     max_final_tilt_deg: float
     min_rock_diameter_m: float
     min_time_to_go_s: float
     nodes_per_side: int
+    path: Path | str | None
+    program: Path | str | None
     propellant_allowance_kg: float
     propellant_weight: float
     snap_m_s4: float
+    start_time_s: float
     thrust_tolerance: float
     tilt_rate_deg_s: float
     tilt_tolerance_deg: float
+    transport: Literal["unix", "tcp"]
 
 class GuidanceChanges(TypedDict, total=False):
     kind: str
+    arguments: tuple[str, ...]
     candidates: int
+    configuration: str
+    deadline_s: float
     frequency_rad_s: float
     gain: float
     gamma: float
     handover_s: float
     interval_s: float
     intervals: int
+    isolated: bool
     iterations: int
     jerk_m_s3: float
     max_final_tilt_deg: float
     min_rock_diameter_m: float
     min_time_to_go_s: float
     nodes_per_side: int
+    path: Path | str | None
+    program: Path | str | None
     propellant_allowance_kg: float
     propellant_weight: float
     snap_m_s4: float
+    start_time_s: float
     thrust_tolerance: float
     tilt_rate_deg_s: float
     tilt_tolerance_deg: float
+    transport: Literal["unix", "tcp"]
 
 class ControlTable(SelectedPart):
     kind: str
+    arguments: tuple[str, ...]
     braking_rad_s2: float
+    configuration: str
     damping: float
     dead_band_deg: float
+    deadline_s: float
     frequency_rad_s: float
+    isolated: bool
+    path: Path | str | None
     period_s: float
+    program: Path | str | None
     rate_band_deg_s: float
+    response_time_s: float
     slew_limit_deg_s: float
+    start_time_s: float
+    transport: Literal["unix", "tcp"]
 
 class ControlChanges(TypedDict, total=False):
     kind: str
+    arguments: tuple[str, ...]
     braking_rad_s2: float
+    configuration: str
     damping: float
     dead_band_deg: float
+    deadline_s: float
     frequency_rad_s: float
+    isolated: bool
+    path: Path | str | None
     period_s: float
+    program: Path | str | None
     rate_band_deg_s: float
+    response_time_s: float
     slew_limit_deg_s: float
+    start_time_s: float
+    transport: Literal["unix", "tcp"]
 
 class TerminalDescentTable(SelectedPart):
     kind: str
+    arguments: tuple[str, ...]
     check_interval_s: float
     click_interval_s: float
     click_m_s: float
+    configuration: str
     correction_time_s: float
     damping: float
+    deadline_s: float
     descent_time_s: float
     final_speed_m_s: float
     frequency_rad_s: float
     full_tilt_height_m: float
     hold_height_speed_m_s: float | None
     hold_propellant_kg: float
+    isolated: bool
     low_height_m: float
     max_offset_m: float
     max_rate_m_s: float
@@ -629,28 +693,36 @@ class TerminalDescentTable(SelectedPart):
     max_tilt_deg: float
     min_speed_fraction: float
     overshoot_m: float
+    path: Path | str | None
+    program: Path | str | None
     speed_gain_per_s: float
+    start_time_s: float
     stop_height_m: float
     time_constant_s: float
     tolerated_offset_m: float
     tolerated_speed_m_s: float
+    transport: Literal["unix", "tcp"]
     upright_time_s: float
     velocity_time_s: float
     zero_speed_height_m: float
 
 class TerminalDescentChanges(TypedDict, total=False):
     kind: str
+    arguments: tuple[str, ...]
     check_interval_s: float
     click_interval_s: float
     click_m_s: float
+    configuration: str
     correction_time_s: float
     damping: float
+    deadline_s: float
     descent_time_s: float
     final_speed_m_s: float
     frequency_rad_s: float
     full_tilt_height_m: float
     hold_height_speed_m_s: float | None
     hold_propellant_kg: float
+    isolated: bool
     low_height_m: float
     max_offset_m: float
     max_rate_m_s: float
@@ -658,14 +730,40 @@ class TerminalDescentChanges(TypedDict, total=False):
     max_tilt_deg: float
     min_speed_fraction: float
     overshoot_m: float
+    path: Path | str | None
+    program: Path | str | None
     speed_gain_per_s: float
+    start_time_s: float
     stop_height_m: float
     time_constant_s: float
     tolerated_offset_m: float
     tolerated_speed_m_s: float
+    transport: Literal["unix", "tcp"]
     upright_time_s: float
     velocity_time_s: float
     zero_speed_height_m: float
+
+class ComputerTable(SelectedPart):
+    kind: str
+    arguments: tuple[str, ...]
+    configuration: str
+    deadline_s: float
+    isolated: bool
+    path: Path | str | None
+    program: Path | str | None
+    start_time_s: float
+    transport: Literal["unix", "tcp"]
+
+class ComputerChanges(TypedDict, total=False):
+    kind: str
+    arguments: tuple[str, ...]
+    configuration: str
+    deadline_s: float
+    isolated: bool
+    path: Path | str | None
+    program: Path | str | None
+    start_time_s: float
+    transport: Literal["unix", "tcp"]
 
 class SensorsTable(SelectedPart):
     kind: str
@@ -854,16 +952,22 @@ class TaskingChanges(TypedDict, total=False):
 
 class MappersTable(SelectedPart):
     kind: str
+    arguments: tuple[str, ...]
     calibration_mapper: str
     calibration_path: Path | str | None
     clear_terrain_interval_s: float
+    configuration: str
     cover_model: Literal["rice", "gaussian"]
+    deadline_s: float
     inputs: tuple[str, ...]
     interest_path: Path | str | None
     interval_s: float
+    isolated: bool
     min_cell_size_m: float
     min_hazard_diameter_m: float
+    path: Path | str | None
     posting_m: float
+    program: Path | str | None
     safety: Literal["calibrated", "level", "planes"]
     sensor: str
     sensors: tuple[str, ...]
@@ -871,21 +975,29 @@ class MappersTable(SelectedPart):
     sites: Any
     size_m: float
     split_count: int
+    start_time_s: float
     terrain_mapper: str
     terrain_prior: float
+    transport: Literal["unix", "tcp"]
 
 class MappersChanges(TypedDict, total=False):
     kind: str
+    arguments: tuple[str, ...]
     calibration_mapper: str
     calibration_path: Path | str | None
     clear_terrain_interval_s: float
+    configuration: str
     cover_model: Literal["rice", "gaussian"]
+    deadline_s: float
     inputs: tuple[str, ...]
     interest_path: Path | str | None
     interval_s: float
+    isolated: bool
     min_cell_size_m: float
     min_hazard_diameter_m: float
+    path: Path | str | None
     posting_m: float
+    program: Path | str | None
     safety: Literal["calibrated", "level", "planes"]
     sensor: str
     sensors: tuple[str, ...]
@@ -893,8 +1005,10 @@ class MappersChanges(TypedDict, total=False):
     sites: Any
     size_m: float
     split_count: int
+    start_time_s: float
     terrain_mapper: str
     terrain_prior: float
+    transport: Literal["unix", "tcp"]
 
 class FlightChanges(TypedDict, total=False):
     name: str
@@ -918,6 +1032,7 @@ class FlightChanges(TypedDict, total=False):
     domain_randomization: DomainRandomizationChanges | None
     braking: BrakingChanges | None
     window: WindowChanges | None
+    command_delay: CommandDelayChanges | None
     record: RecordChanges | None
     site_reward: SiteRewardChanges | None
     descent_reward: DescentRewardChanges | None
@@ -926,6 +1041,7 @@ class FlightChanges(TypedDict, total=False):
     navigation: NavigationChanges
     control: ControlChanges
     terminal_descent: TerminalDescentChanges | None
+    computer: ComputerChanges | None
     sensors: Mapping[str, SensorsChanges | None]
     sensor_faults: Mapping[str, SensorFaultsChanges | None]
     tasking: Mapping[str, TaskingChanges | None]

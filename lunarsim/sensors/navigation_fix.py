@@ -9,6 +9,7 @@ import numpy as np
 
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.measurements import NavigationFix
+from lunarsim.models.instruments import NavigationFixInstrument
 from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.typing import Array
 from lunarsim.vehicle.state import State
@@ -67,8 +68,9 @@ class NavigationFixErrors:
         """Return the simulated system of one flight; constant errors come from `rng`."""
         return NavigationFixSource(self, rng)
 
-    def calibration(self) -> None:
-        """Return None: there is no calibration, because every fix includes its covariance."""
+    def calibration(self) -> NavigationFixInstrument:
+        """Return the empty calibration, because every fix includes its covariance."""
+        return NavigationFixInstrument()
 
     def __post_init__(self) -> None:
         check_bounds(self, "navigation")

@@ -6,7 +6,7 @@ compiled cycle supports runs there; any other law runs the same steps in Python.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,16 +41,47 @@ class ControlCycleResult:
     torques: Array
 
 
-def fly_cycle(plant: Plant, loop: AttitudeLoop, command: Command) -> ControlCycleResult:
-    """Simulate one control cycle of vehicle and attitude loop under a command."""
-    command = plant.apply_throttle_faults(command)
+def fly_cycle(
+    plant: Plant, loop: AttitudeLoop, command: Command,
+    changes: Sequence[tuple[int, Command]] = (),
+) -> ControlCycleResult:  # fmt: skip
+    """Simulate one control cycle of vehicle and attitude loop under a command.
+
+    `changes` are commands that replace it, each after a number of integration steps. The
+    measurement tasks at the end of the cycle are those of the last command.
+    """
+    starts = [(0, command), *changes]
+    ends = [start for start, _ in changes] + [plant.steps]
+    flown: list[tuple[Array, Array, Array]] = []
+    state = plant.state
+    for (start, given), end in zip(starts, ends, strict=True):
+        active = plant.apply_throttle_faults(given)
+        if start > 0:
+            state = State.from_vector(flown[-1][0][-1])
+            loop.set_command(active)
+        flown.append(_fly(plant, loop, state, active, end - start))
+    history, increments, torques = (
+        flown[0] if len(flown) == 1 else map(np.concatenate, zip(*flown, strict=True))
+    )
+    gyroscopes = {next(iter(plant.imus)): increments} if loop.law.torques else {}
+    last = starts[-1][1]
+    measurements = plant.adopt_motion(history, gyroscopes, last.tasks, abort=last.abort)
+    return ControlCycleResult(measurements, torques)
+
+
+def _fly(
+    plant: Plant, loop: AttitudeLoop, state: State, command: Command, steps: int
+) -> tuple[Array, Array, Array]:
+    """Simulate a number of integration steps from a state under a command.
+
+    Return states (n, 15), gyroscope increments (n, 3), rad, and torques (n, 3), N m; the last two
+    are empty with ideal attitude control.
+    """
     if not loop.law.torques:
         slew = loop.law.slew_limit  # type: ignore[attr-defined]
-        history = plant.dynamics.advance_ideal(plant.state, command, slew, plant.steps)
-        return ControlCycleResult(
-            plant.adopt_motion(history, {}, command.tasks, abort=command.abort), np.zeros((0, 3))
-        )
-    name, imu = next(iter(plant.imus.items()))
+        history = plant.dynamics.advance_ideal(state, command, slew, steps)
+        return history, np.zeros((0, 3)), np.zeros((0, 3))
+    imu = next(iter(plant.imus.values()))
     fly = (
         _fly_with_actuators
         if plant.actuators
@@ -58,24 +89,20 @@ def fly_cycle(plant: Plant, loop: AttitudeLoop, command: Command) -> ControlCycl
         if loop.compiled
         else _fly_in_python
     )
-    history, increments, torques = fly(plant, loop, imu, command.thrust)
-    measurements = plant.adopt_motion(
-        history, {name: increments}, command.tasks, abort=command.abort
-    )
-    return ControlCycleResult(measurements, torques)
+    return fly(plant, loop, imu, state, command.thrust, steps)
 
 
 def _fly_compiled(
-    plant: Plant, loop: AttitudeLoop, imu: Imu, thrust: float
+    plant: Plant, loop: AttitudeLoop, imu: Imu, state: State, thrust: float, steps: int
 ) -> tuple[Array, Array, Array]:
-    """Simulate one control cycle of a lander without thrusters in a compiled function.
+    """Simulate integration steps of a lander without thrusters in a compiled function.
 
     The results are those of `_fly_stepwise`.
     """
     d, gyros = plant.dynamics, imu.gyroscopes
-    offsets = gyros.offsets(plant.steps)  # also sets the matrix of these samples
+    offsets = gyros.offsets(steps)  # also sets the matrix of these samples
     history, increments, torques = k.fly_cycle_steps(
-        plant.state.as_vector(), plant.steps, d.step, d.thrust(thrust), d.params, d.inertia,
+        state.as_vector(), steps, d.step, d.thrust(thrust), d.params, d.inertia,
         d.plain_rig, loop.state, loop.target, loop.gains, loop.inertia, loop.torque_max,
         d.lander.torque_scale, gyros.matrix, offsets, gyros.errors.quantum, gyros.remainder,
     )  # fmt: skip
@@ -83,9 +110,9 @@ def _fly_compiled(
 
 
 def _fly_with_actuators(
-    plant: Plant, loop: AttitudeLoop, imu: Imu, thrust: float
+    plant: Plant, loop: AttitudeLoop, imu: Imu, state: State, thrust: float, steps: int
 ) -> tuple[Array, Array, Array]:
-    """Simulate one control cycle of a lander with thrusters, gimbal and throttle.
+    """Simulate integration steps of a lander with thrusters, gimbal and throttle.
 
     Return states (n, 15), gyroscope increments (n, 3), rad, and commanded torques (n, 3), N m,
     after each integration step.
@@ -102,13 +129,13 @@ def _fly_with_actuators(
             actuators.command(loop.on_times, loop.gimbal)
         return actuators.advance(plant.dynamics, state, throttle), torque
 
-    return _fly_stepwise(plant, loop, imu, advance)
+    return _fly_stepwise(loop, imu, state, steps, advance)
 
 
 def _fly_in_python(
-    plant: Plant, loop: AttitudeLoop, imu: Imu, thrust: float
+    plant: Plant, loop: AttitudeLoop, imu: Imu, state: State, thrust: float, steps: int
 ) -> tuple[Array, Array, Array]:
-    """Simulate one control cycle of a lander without thrusters in Python.
+    """Simulate integration steps of a lander without thrusters in Python.
 
     The results are those of `_fly_stepwise`.
     """
@@ -117,28 +144,28 @@ def _fly_in_python(
         torque = loop.torque()
         return plant.dynamics.advance(state, thrust, torque), torque
 
-    return _fly_stepwise(plant, loop, imu, advance)
+    return _fly_stepwise(loop, imu, state, steps, advance)
 
 
 def _fly_stepwise(
-    plant: Plant,
     loop: AttitudeLoop,
     imu: Imu,
+    state: State,
+    steps: int,
     advance: Callable[[State], tuple[State, Array]],
 ) -> tuple[Array, Array, Array]:
-    """Simulate one control cycle in Python, one integration step at a time.
+    """Simulate a number of integration steps in Python.
 
     `advance` returns the state after a step and the torque that the attitude loop commands. Return
     states (n, 15), gyroscope increments (n, 3), rad, and torques (n, 3), N m.
     """
     gyros = imu.gyroscopes
-    offsets = gyros.offsets(plant.steps)
-    history = np.empty((plant.steps, 15))
-    increments = np.empty((plant.steps, 3))
-    torques = np.empty((plant.steps, 3))
+    offsets = gyros.offsets(steps)
+    history = np.empty((steps, 15))
+    increments = np.empty((steps, 3))
+    torques = np.empty((steps, 3))
     turn = np.empty(3)
-    state = plant.state
-    for n in range(plant.steps):
+    for n in range(steps):
         before = state.attitude
         state, torques[n] = advance(state)
         rotation_vector_between(before, state.attitude, turn)

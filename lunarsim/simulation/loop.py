@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,10 +13,14 @@ from lunarsim import forks
 from lunarsim._blas import one_blas_thread
 from lunarsim.errors import InputError
 from lunarsim.frames import SiteToLocal, quat_conjugate, quat_multiply, quat_to_rotation_vector
+from lunarsim.messages.briefing import Briefing
+from lunarsim.messages.commands import Command
 from lunarsim.messages.measurements import CameraImage, Measurements
 from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.computer import OnboardComputer
+from lunarsim.onboard.external.failure import SoftwareFailure
+from lunarsim.onboard.external.recording import recorded_in
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.contract import Decision, Observation, RetargetingPolicy
 from lunarsim.parts import resolve, settings_of
@@ -22,10 +29,12 @@ from lunarsim.scenario import Scenario
 from lunarsim.scenario.mission import RecordSettings
 from lunarsim.sensors.faults import SensorFault
 from lunarsim.simulation.columns import CommandCycle, Cycle
+from lunarsim.simulation.command_delay import CommandQueue, Stopwatch
 from lunarsim.simulation.cycle import fly_cycle
 from lunarsim.simulation.fault_events import fault_events
 from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.mission import plan
+from lunarsim.simulation.pacing import Pacer
 from lunarsim.simulation.plant import Plant
 from lunarsim.simulation.recorder import MessageRecorder, Recorder
 from lunarsim.simulation.worlds import build_world
@@ -35,6 +44,9 @@ from lunarsim.vehicle.actuators import Actuators
 from lunarsim.vehicle.faults import Faults
 from lunarsim.world import World
 from lunarsim.world.truth import TerrainTruth
+
+# Cause of failure, and event, if external software fails.
+SOFTWARE_FAILED = "software-failed"
 
 
 def make_policy(scenario: Scenario, policy: RetargetingPolicy | str | None) -> Any:
@@ -102,6 +114,18 @@ def _sensor_faults(
     return found
 
 
+def _make_computer(briefing: Briefing, policy: RetargetingPolicy | None) -> OnboardComputer:
+    """Create the onboard computer of a flight: that of lunarsim, or external software.
+
+    External software has those attributes of `OnboardComputer` that a flight without decisions of
+    lunarsim uses.
+    """
+    settings = briefing.software.computer
+    if settings is None:
+        return OnboardComputer(briefing, policy)
+    return settings.build(briefing)  # type: ignore[no-any-return]
+
+
 class Simulation:
     """Simulation of one descent in closed loop, advanced one control cycle at a time.
 
@@ -121,6 +145,8 @@ class Simulation:
         True landing safety of `world`, if already computed.
     tap
         Recorder of all messages between plant and computer, or None.
+    messages
+        Folder for records of the calls of external software; None: no records.
 
     Attributes
     ----------
@@ -144,6 +170,7 @@ class Simulation:
         world: World | None = None,
         truth: TerrainTruth | None = None,
         tap: MessageRecorder | None = None,
+        messages: Path | None = None,
     ) -> None:
         forks.check()  # parallel kernels check too, but some flights reach them late
         if scenario.domain_randomization is not None:
@@ -180,8 +207,15 @@ class Simulation:
         )
         # A policy that uses the truth is queried here; any other runs on the computer.
         self._oracle = self.policy if getattr(self.policy, "knows_truth", False) else None
-        self.computer = OnboardComputer(briefing, None if self._oracle else self.policy)
+        with recorded_in(messages):
+            self.computer = _make_computer(briefing, None if self._oracle else self.policy)
         self.recorder = Recorder(briefing.target, *_recorded_sensors(scenario))
+        delay = scenario.command_delay
+        self._stopwatch = Stopwatch()
+        self._commands = CommandQueue(
+            None if delay is None else delay.make(), self.streams.get("command_delay"),
+            clock.step, Command(state.thrust, state.attitude),
+        )  # fmt: skip
         self._tap = tap
         if tap is not None:
             tap.briefing = briefing
@@ -288,21 +322,36 @@ class Simulation:
         """
         return self.computer.apply(decision)
 
+    @contextmanager
+    def _failure_ends_flight(self) -> Iterator[None]:
+        """End the flight as failed if external software fails within a `with` statement."""
+        try:
+            yield
+        except SoftwareFailure as failure:
+            self.plant.outcome = LandingOutcome(False, (SOFTWARE_FAILED,), None)
+            details = {"role": failure.role, "reason": failure.reason, "detail": failure.detail}
+            self.computer.telemetry.append((self.time, SOFTWARE_FAILED, details))
+            self.computer.close()
+
     @one_blas_thread()
     def _take(self, measurements: Measurements) -> None:
         """Pass measurements to the onboard computer, and record truth and estimate."""
         self._measurements = measurements
         c = self.computer
-        c.update(measurements)
+        with self._failure_ends_flight(), self._stopwatch:
+            c.update(measurements)
         self.recorder.record_measurements(measurements, c, self.navigation_error, self.state)
         left = 0.0 if self.done else max(c.time_to_go, 0.0)
         self.recorder.add_cycle(Cycle(self.time, self.state, c, left))
+        if self.done:
+            c.close()
 
     @one_blas_thread()
     def decide(self) -> None:
         """Query the policy and apply its decision, if a decision is due."""
         if self._oracle is None:
-            self.computer.decide()
+            with self._failure_ends_flight(), self._stopwatch:
+                self.computer.decide()
         elif self.decision_due:
             self.apply(self.ask(self._oracle, self.observe()))
 
@@ -324,8 +373,17 @@ class Simulation:
         """
         if self.done:
             raise RuntimeError("the flight has ended")
-        command, time = self.computer.command(), self.time
-        cycle = fly_cycle(self.plant, self.computer.attitude_loop, command)
+        time, loop = self.time, self.computer.attitude_loop
+        with self._failure_ends_flight():
+            with self._stopwatch:
+                command = self.computer.command()
+            active, changes = self._commands.add(command, self._stopwatch.seconds, self.plant.steps)
+            self._stopwatch.seconds = 0.0
+            if active is not command:
+                loop.set_command(active)
+            cycle = fly_cycle(self.plant, loop, active, changes)
+        if self.plant.outcome is not None and self.plant.time == time:
+            return  # external software has failed
         if self._tap is not None:
             self._tap.exchange(self._measurements, command, cycle.torques)
         torque = cycle.torques.mean(axis=0) if len(cycle.torques) else np.full(3, np.nan)
@@ -337,12 +395,18 @@ class Simulation:
         if self.done:
             raise RuntimeError("the flight has ended")
         self.decide()
-        self.move()
+        if not self.done:
+            self.move()
 
-    def run(self) -> Flight:
-        """Simulate the flight to its end and return its record."""
+    def run(self, pacer: Pacer | None = None) -> Flight:
+        """Simulate the flight to its end and return its record.
+
+        `pacer` slows the flight down to wall-clock rate.
+        """
         while not self.done:
             self.step()
+            if pacer is not None:
+                pacer.wait()
         return self.flight()
 
     def flight(self) -> Flight:

@@ -159,6 +159,8 @@ def trimmed_start_state(state: State, briefing: Briefing) -> State:
         else braking.end(briefing.target)
     )
     wanted = law.command(_as_estimate(state), end, 0.0, briefing.time_to_go)
+    if hasattr(law, "close"):
+        law.close()
     if braking is not None:
         command = braking.build_command(wanted, state.mass, lander, briefing.heading, 0.0)
     else:

@@ -8,6 +8,7 @@ import numpy as np
 
 from lunarsim._frame_kernels import rotation_vector_between
 from lunarsim.frames import quat_multiply
+from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.commands import Command
 from lunarsim.models.jet_lander import JetLander
 from lunarsim.onboard.component_errors import checked_vector
@@ -83,15 +84,19 @@ class JetLoop(AttitudeLoop):
         return self._step % self.period_steps == 0
 
     def start_cycle(self, command: Command, attitude: Array, mass: float) -> None:
-        """Set commanded attitude, estimated attitude (4,) and mass (kg) for a new cycle.
+        """Set commanded attitude, estimated attitude (4,) and mass (kg) for a new cycle."""
+        self._com = self.vehicle.com(mass)
+        self._arm = self.vehicle.engine.pivot_depth + float(self._com[2])
+        super().start_cycle(command, attitude, mass)
+
+    def set_command(self, command: Command) -> None:
+        """Set commanded thrust and attitude, also within a cycle.
 
         The commanded attitude is corrected for an engine that is gimballed through an offset centre
         of mass.
         """
-        super().start_cycle(command, attitude, mass)
+        super().set_command(command)
         self._thrust = command.thrust
-        self._com = self.vehicle.com(mass)
-        self._arm = self.vehicle.engine.pivot_depth + float(self._com[2])
         gimbal_angles = self._gimbal_through_com()
         if gimbal_angles.any():
             # The gimballed engine does not push along body z: tilt the body in return.
@@ -200,9 +205,13 @@ def _align_thrust(gimbal_angles: Array) -> Array:
     return np.asarray(turn / np.linalg.norm(turn))
 
 
-def attitude_loop(law: AttitudeControl, lander: Any, step: float) -> AttitudeLoop:
-    """Return the attitude loop of a lander: `JetLoop` if it has on-off thrusters.
+def attitude_loop(briefing: Briefing) -> AttitudeLoop:
+    """Return the attitude loop of a flight: `JetLoop` if the lander has on-off thrusters.
 
-    All other landers get an `AttitudeLoop`. `step` is the gyroscope sample period, s.
+    All other landers get an `AttitudeLoop`. A control law with a method `build` is built for the
+    flight.
     """
-    return (JetLoop if isinstance(lander, JetLander) else AttitudeLoop)(law, lander, step)
+    settings, lander = briefing.software.control, briefing.lander
+    law = settings.build(briefing) if hasattr(settings, "build") else settings
+    loop = JetLoop if isinstance(lander, JetLander) else AttitudeLoop
+    return loop(law, lander, briefing.step)  # type: ignore[arg-type]

@@ -62,6 +62,10 @@ class AttitudeLoop:
         """Set commanded attitude, estimated attitude (4,) and mass (kg) for a new cycle."""
         self.state[:4] = attitude
         self.inertia = self.lander.inertia(mass)
+        self.set_command(command)
+
+    def set_command(self, command: Command) -> None:
+        """Set the commanded attitude, also within a cycle."""
         self.target = np.ascontiguousarray(command.attitude, dtype=np.float64)
 
     def torque(self) -> Array:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from numbers import Real
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from lunarsim.errors import InputError
+from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.component_errors import checked_vector, wrong_result_error
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
@@ -232,6 +233,15 @@ class RetargetingPolicy(Protocol):
 
     def decide(self, observation: Observation) -> Decision:
         """Return the decision (keep, divert or abort) for an observation."""
+        ...
+
+
+@runtime_checkable
+class BuiltPerFlight(Protocol):
+    """Settings of a policy that is built anew for each flight."""
+
+    def build(self, briefing: Briefing) -> RetargetingPolicy:
+        """Return the policy of one flight, built from its briefing."""
         ...
 
 

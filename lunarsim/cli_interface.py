@@ -1,0 +1,87 @@
+"""Define the commands `lunarsim interface ...`."""
+
+from __future__ import annotations
+
+import sys
+from importlib import resources
+from pathlib import Path
+
+import click
+
+from lunarsim.cli_common import PATH, ErrorReportingGroup, FloatRange
+from lunarsim.errors import InputError
+
+
+@click.group(cls=ErrorReportingGroup)
+def interface() -> None:
+    """Connect flight software in C, C++ or another language.
+
+    \b
+    Example:
+      lunarsim interface header > lunarsim.h
+    """  # noqa: D301  (click wants the character itself)
+
+
+def _print(name: str) -> None:
+    """Print a text file of the interface."""
+    click.echo(
+        resources.files("lunarsim.interface").joinpath(name).read_text(encoding="utf-8"), nl=False
+    )
+
+
+@interface.command()
+def header() -> None:
+    """Print the C header of the interface."""
+    _print("lunarsim.h")
+
+
+@interface.command()
+def proto() -> None:
+    """Print the Protobuf schema for programs."""
+    _print("lunarsim.proto")
+
+
+@interface.command("replay")
+@click.argument("record", type=PATH)
+@click.argument("software", type=PATH)
+@click.argument("arguments", nargs=-1)
+@click.option(
+    "--deadline", type=FloatRange(min=0, min_open=True), default=5.0, show_default=True,
+    metavar="SECONDS", help="Maximum wall-clock time of an answer.",
+)  # fmt: skip
+def replay_calls(record: Path, software: Path, arguments: tuple[str, ...], deadline: float) -> None:
+    """Repeat recorded calls with SOFTWARE and compare its answers.
+
+    RECORD is a file of `lunarsim fly --record-messages`. SOFTWARE is a shared library (.so), or a
+    program with its ARGUMENTS. It gets the recorded briefing and inputs; there is no simulation.
+    The exit code is 1 if an answer differs in any byte.
+
+    \b
+    Example:
+      lunarsim interface replay out/messages/guidance.messages build/e_guidance.so
+    """  # noqa: D301  (click wants the character itself)
+    from lunarsim.onboard.external.failure import SoftwareFailure
+    from lunarsim.onboard.external.process import ProcessConnection, program_arguments
+    from lunarsim.onboard.external.recording import read_record, replay
+    from lunarsim.onboard.external.settings import hosted_library
+
+    calls = read_record(record)
+    if not software.is_file():
+        raise InputError("SOFTWARE", str(software), "must be an existing file")
+    command = (
+        hosted_library(software.resolve(), calls.role)
+        if software.suffix == ".so"
+        else program_arguments(software.resolve(), arguments)
+    )
+    connection = ProcessConnection(command, calls.role, calls.briefing, deadline=deadline)
+    try:
+        found = replay(calls, connection)
+    except SoftwareFailure as failure:
+        raise click.ClickException(str(failure)) from None
+    finally:
+        connection.close()
+    if found.first_difference is None:
+        click.echo(f"{found.calls} calls of the role {calls.role}: all answers are identical")
+        return
+    click.echo(f"call {found.first_difference}: the answer differs in {found.fields}")
+    sys.exit(1)

@@ -1,0 +1,1 @@
+"""Interface of external flight software: messages, C structures, Protobuf messages."""

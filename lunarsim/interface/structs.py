@@ -1,0 +1,120 @@
+"""Messages as C structures in memory, with the layout of the C header."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.interface.definitions import MESSAGES, Field
+
+# NumPy types of the numbers in messages; an array of variable size is a pointer.
+NUMBERS: dict[str, type[np.generic]] = {
+    "double": np.float64, "float": np.float32, "int32": np.int32, "uint32": np.uint32,
+    "uint16": np.uint16, "uint8": np.uint8,
+}  # fmt: skip
+_POINTER = np.uint64
+
+
+@cache
+def dtype_of(message: str) -> np.dtype[np.void]:
+    """Return the NumPy type of a message, aligned as the C compiler aligns its structure."""
+    return np.dtype([_member(f) for f in MESSAGES[message].fields], align=True)
+
+
+def _member(f: Field) -> tuple[Any, ...]:
+    """Return name, type and shape of a structure's member."""
+    if f.count:
+        return f.name, _POINTER
+    if f.type == "text":
+        return f.name, f"S{f.shape[0]}"
+    of = dtype_of(f.type) if f.is_message else NUMBERS[f.type]
+    return f.name, of, f.shape
+
+
+def address_of(array: NDArray[Any]) -> int:
+    """Return the address of an array's first element."""
+    return int(array.__array_interface__["data"][0])
+
+
+class Struct:
+    """Structure of one message; arrays of variable size stay where they are.
+
+    Parameters
+    ----------
+    message
+        Name of the message.
+    buffer
+        Memory of the structure (1,); None: new memory, filled with zeros.
+
+    Attributes
+    ----------
+    message
+        Definition of the message.
+    buffer, address
+        Memory of the structure (1,), and its address.
+    parts
+        Structures of the fields that are messages; of an array of messages, a list of them.
+    arrays
+        Arrays of variable size by field.
+    flat
+        Views of the arrays of fixed size by field, as vectors.
+    """
+
+    def __init__(self, message: str, buffer: NDArray[Any] | None = None) -> None:
+        self.message = MESSAGES[message]
+        self.buffer = np.zeros(1, dtype_of(message)) if buffer is None else buffer
+        self.address = address_of(self.buffer)
+        self.parts: dict[str, Any] = {}
+        self.arrays: dict[str, NDArray[Any]] = {}
+        self._views = {f.name: self.buffer[f.name] for f in self.message.fields}
+        self.flat = {
+            f.name: self._views[f.name].reshape(-1)
+            for f in self.message.fields
+            if f.shape and not f.is_message and f.type != "text"
+        }
+        self._lists: dict[str, list[Struct]] = {}
+        for f in self.message.fields:
+            view = self._views[f.name]
+            if f.is_list:
+                self._lists[f.name] = []
+            elif f.is_message and f.shape:
+                self.parts[f.name] = [Struct(f.type, view[0, k : k + 1]) for k in range(f.shape[0])]
+            elif f.is_message:
+                self.parts[f.name] = Struct(f.type, view)
+
+    def set(self, **values: Any) -> None:
+        """Set fields of numbers, vectors and texts."""
+        for name, value in values.items():
+            self._views[name][0] = value
+
+    def clear(self) -> None:
+        """Set all bytes of the structure to zero."""
+        self.buffer.view(np.uint8)[:] = 0
+
+    def get(self, name: str) -> Any:
+        """Return a number, a text as bytes, or a view of an array of fixed size."""
+        return self._views[name][0]
+
+    def attach(self, **arrays: NDArray[Any]) -> None:
+        """Set arrays of variable size; they are not copied if they are contiguous."""
+        for name, given in arrays.items():
+            array = self.arrays[name] = np.ascontiguousarray(given)
+            self._views[name][0] = address_of(array)
+
+    def resize_list(self, name: str, count: int) -> list[Struct]:
+        """Set the number of elements of a list of messages; return them with old contents."""
+        current: list[Struct] = self.parts.get(name, [])
+        if len(current) == count:
+            return current
+        elements = self._lists[name]
+        if len(elements) < count:
+            of = next(f.type for f in self.message.fields if f.name == name)
+            memory = np.zeros(count, dtype_of(of))
+            elements[:] = [Struct(of, memory[k : k + 1]) for k in range(count)]
+        self._views[f"{name}_count"][0] = count
+        self._views[name][0] = elements[0].address if count else 0
+        self.parts[name] = elements[:count]
+        return elements[:count]
