@@ -52,9 +52,9 @@ def proto() -> None:
 def replay_calls(record: Path, software: Path, arguments: tuple[str, ...], deadline: float) -> None:
     """Repeat recorded calls with SOFTWARE and compare its answers.
 
-    RECORD is a file of `lunarsim fly --record-messages`. SOFTWARE is a shared library (.so), or a
-    program with its ARGUMENTS. It gets the recorded briefing and inputs; there is no simulation.
-    The exit code is 1 if an answer differs in any byte.
+    RECORD is a file of `lunarsim fly --record-messages`. SOFTWARE is a shared library (.so), an
+    FMU (.fmu), or a program with its ARGUMENTS. It gets the recorded briefing and inputs; there is
+    no simulation. The exit code is 1 if an answer differs in any byte.
 
     \b
     Example:
@@ -63,14 +63,14 @@ def replay_calls(record: Path, software: Path, arguments: tuple[str, ...], deadl
     from lunarsim.onboard.external.failure import SoftwareFailure
     from lunarsim.onboard.external.process import ProcessConnection, program_arguments
     from lunarsim.onboard.external.recording import read_record, replay
-    from lunarsim.onboard.external.settings import hosted_library
+    from lunarsim.onboard.external.settings import hosted
 
     calls = read_record(record)
     if not software.is_file():
         raise InputError("SOFTWARE", str(software), "must be an existing file")
     command = (
-        hosted_library(software.resolve(), calls.role)
-        if software.suffix == ".so"
+        hosted(software.resolve(), calls.role)
+        if software.suffix in (".so", ".fmu")
         else program_arguments(software.resolve(), arguments)
     )
     connection = ProcessConnection(command, calls.role, calls.briefing, deadline=deadline)

@@ -88,7 +88,9 @@ class OnboardComputer:
     def __init__(self, briefing: Briefing, policy: RetargetingPolicy | None = None) -> None:
         software = briefing.software
         self.briefing = briefing
-        self.policy = policy.build(briefing) if isinstance(policy, BuiltPerFlight) else policy
+        with prefix_input_errors("policy"):
+            built = policy.build(briefing) if isinstance(policy, BuiltPerFlight) else policy
+        self.policy: RetargetingPolicy | None = built
         self.lander = briefing.lander
         self.approach = software.approach
         self.decisions = software.decisions
@@ -108,7 +110,8 @@ class OnboardComputer:
         self._braking_law: Any = None
         if self.braking is not None:
             self._braking_law = self.braking.law_settings().build(briefing, lag)
-        self.attitude_loop = attitude_loop(briefing)
+        with prefix_input_errors("control"):
+            self.attitude_loop = attitude_loop(briefing)
         self.throttle = (
             ThrottleRegions(self.lander.engine) if isinstance(self.lander, JetLander) else None
         )

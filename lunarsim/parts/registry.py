@@ -155,6 +155,7 @@ CONTRACTS: dict[str, Contract] = {
                 "lunarsim.onboard.active_perception.guidance:InformationSeekingLaw"
             ),
             "library": "lunarsim.onboard.external.guidance:LibraryGuidance",
+            "fmu": "lunarsim.onboard.external.guidance:LibraryGuidance",
             "process": "lunarsim.onboard.external.guidance:ProcessGuidance",
         },
         ("build", "cost"),
@@ -189,6 +190,7 @@ CONTRACTS: dict[str, Contract] = {
             ),
             "phase-plane": "lunarsim.onboard.control.phase_plane:PhasePlane",
             "library": "lunarsim.onboard.external.control:LibraryControl",
+            "fmu": "lunarsim.onboard.external.control:LibraryControl",
             "process": "lunarsim.onboard.external.control:ProcessControl",
         },
         ("torques", "torque", "response_time"),

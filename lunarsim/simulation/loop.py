@@ -18,6 +18,7 @@ from lunarsim.messages.commands import Command
 from lunarsim.messages.measurements import CameraImage, Measurements
 from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.component_errors import prefix_input_errors
 from lunarsim.onboard.computer import OnboardComputer
 from lunarsim.onboard.external.failure import SoftwareFailure
 from lunarsim.onboard.external.recording import recorded_in
@@ -123,7 +124,8 @@ def _make_computer(briefing: Briefing, policy: RetargetingPolicy | None) -> Onbo
     settings = briefing.software.computer
     if settings is None:
         return OnboardComputer(briefing, policy)
-    return settings.build(briefing)  # type: ignore[no-any-return]
+    with prefix_input_errors("computer"):
+        return settings.build(briefing)  # type: ignore[no-any-return]
 
 
 class Simulation:

@@ -14,7 +14,7 @@ from lunarsim.frames import attitude_from_thrust, quat_from_rotation_vector, qua
 from lunarsim.messages.briefing import Briefing, FlightSoftware, InitialStateEstimate
 from lunarsim.models.gravity import UniformGravity
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.component_errors import checked_command
+from lunarsim.onboard.component_errors import checked_command, prefix_input_errors
 from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.navigation.estimate import Estimate
@@ -152,7 +152,8 @@ def trimmed_start_state(state: State, briefing: Briefing) -> State:
     software, lander = briefing.software, briefing.lander
     braking = software.braking
     part = software.guidance if braking is None else braking.law_settings()
-    law = part.build(briefing, software.control.response_time + lander.thrust_lag)
+    with prefix_input_errors("guidance" if braking is None else "braking"):
+        law = part.build(briefing, software.control.response_time + lander.thrust_lag)
     end = (
         software.approach.end(briefing.target, lander)
         if braking is None

@@ -90,6 +90,8 @@ class ProcessConnection:
         try:
             self._start(command, folder, transport, cleaner, time.monotonic() + start_time)
             self._initialise(briefing, time.monotonic() + start_time)
+            # Both sides have opened the memory: nothing is left if lunarsim is killed.
+            shutil.rmtree(folder, ignore_errors=True)
         except SoftwareFailure as error:
             self.close()
             raise InputError(

@@ -11,18 +11,14 @@ from lunarsim.errors import InputError
 from lunarsim.interface.structs import Struct
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.external.encode import checked_text, new_briefing
+from lunarsim.onboard.external.fmu import FmuConnection
 from lunarsim.onboard.external.library import LibraryConnection
 from lunarsim.onboard.external.process import ProcessConnection, program_arguments
 from lunarsim.onboard.external.recording import with_record
 from lunarsim.parts.program_permission import check_program
 from lunarsim.parts.quantity import check_bounds, quantity
 
-_HOST = Path(__file__).with_name("library_host.py")
-
-
-def hosted_library(path: Path, role: str) -> list[str]:
-    """Return the command that runs one role of a shared library in a process."""
-    return [sys.executable, str(_HOST), str(path), role]
+_HOST = Path(__file__).with_name("host.py")
 
 
 class Connection(Protocol):
@@ -35,6 +31,23 @@ class Connection(Protocol):
     def close(self) -> None:
         """End the software."""
         ...
+
+
+def hosted(path: Path, role: str) -> list[str]:
+    """Return the command that runs one role of a shared library or an FMU in a process."""
+    return [sys.executable, str(_HOST), str(path), role]
+
+
+def load_software(path: Path, role: str, briefing: Struct) -> Connection:
+    """Load one role of a shared library, or of an FMU (.fmu), into this process.
+
+    Raises
+    ------
+    InputError
+        If the file is unsuitable, or its initialisation fails.
+    """
+    load = FmuConnection if path.suffix == ".fmu" else LibraryConnection
+    return load(path, role, briefing)
 
 
 @dataclass(frozen=True)
@@ -60,12 +73,12 @@ class _Software:
 
 @dataclass(frozen=True)
 class LibrarySoftware(_Software):
-    """Settings of flight software in a shared library.
+    """Settings of flight software in a shared library or an FMU.
 
     Attributes
     ----------
     path
-        File of the library.
+        File of the library or FMU.
     configuration
         Text for the software.
     isolated
@@ -75,8 +88,8 @@ class LibrarySoftware(_Software):
     """
 
     path: Path | None = quantity(
-        None, help="shared library, relative to the scenario file; it must be allowed with "
-        "--allow-program",
+        None, help="shared library (.so) or FMU (.fmu), relative to the scenario file; it must be "
+        "allowed with --allow-program",
     )  # fmt: skip
     isolated: bool = quantity(
         True, help="whether the library runs in a process of its own; otherwise it is faster, but "
@@ -99,10 +112,10 @@ class LibrarySoftware(_Software):
         connection: Connection
         if self.isolated:
             connection = ProcessConnection(
-                hosted_library(self.path, role), role, given, deadline=self.deadline
+                hosted(self.path, role), role, given, deadline=self.deadline
             )
         else:
-            connection = LibraryConnection(self.path, role, given)
+            connection = load_software(self.path, role, given)
         return with_record(connection, role, given)  # type: ignore[no-any-return]
 
 

@@ -1,4 +1,4 @@
-"""Run flight software in a shared library in a process: ``library_host.py LIBRARY ROLE``."""
+"""Run a shared library or an FMU in a process: ``host.py FILE ROLE``."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from pathlib import Path
 
 from lunarsim.interface.server import Software, serve
 from lunarsim.interface.structs import Struct
-from lunarsim.onboard.external.library import LibraryConnection
+from lunarsim.onboard.external.settings import load_software
 
 
 def main(path: str, role: str) -> None:
-    """Serve one role of a library."""
+    """Serve one role of a library or an FMU."""
 
     def make(briefing: Struct) -> Software:
-        return LibraryConnection(Path(path), role, briefing)
+        return load_software(Path(path), role, briefing)
 
     serve(**{role: make})
 

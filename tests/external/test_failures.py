@@ -1,0 +1,190 @@
+"""A failure of external software ends the flight with a named outcome and leaves nothing."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import lunarsim
+from lunarsim import InputError
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from tests.external.software import FAULTY, build_folder, compiler, library, small
+
+
+@pytest.fixture(autouse=True)
+def allowed(monkeypatch):
+    monkeypatch.setenv("LUNARSIM_ALLOW_PROGRAMS", "")
+
+
+def children() -> set[int]:
+    """Return the processes whose parent is this one, and folders of connections."""
+    out = subprocess.run(
+        ["ps", "--ppid", str(os.getpid()), "-o", "pid=,comm="], capture_output=True, text=True
+    ).stdout
+    return {int(line.split()[0]) for line in out.splitlines() if "ps" not in line.split()[1:]}
+
+
+def left_over() -> set[str]:
+    return {path.name for path in Path("/dev/shm").glob("lunarsim-*")}
+
+
+def program(fault: str, **settings: object) -> Scenario:
+    lunarsim.allow_programs(FAULTY)
+    return small(
+        guidance={"kind": "process", "program": str(FAULTY), "arguments": [fault], **settings}
+    )
+
+
+def with_library(fault: str, **settings: object) -> Scenario:
+    path = library("faulty_software.c")
+    lunarsim.allow_programs(path)
+    return small(
+        guidance={"kind": "library", "path": str(path), "configuration": fault, **settings}
+    )
+
+
+def fly_to_failure(scenario: Scenario) -> dict[str, object]:
+    """Fly a scenario that must fail; return the event of the failure."""
+    before, folders = children(), left_over()
+    flight = Simulation(scenario, 1, "no-divert").run()
+    assert flight.outcome.failure_causes == ("software-failed",)
+    assert not flight.outcome.safe
+    (event,) = [e for e in flight.events if e["name"] == "software-failed"]
+    assert event["role"] == "guidance"
+    # The first 20 calls were good, and one of them is that before the flight.
+    assert event["time"] == pytest.approx(4.0, abs=0.21)
+    assert children() == before
+    assert left_over() == folders
+    return event
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason", "detail"),
+    [
+        ("die", "died", "exit code 3"),
+        ("kill", "died", "SIGKILL"),
+        ("close", "protocol", "closed the connection"),
+        ("nan", "invalid-output", "nan"),
+        ("size", "protocol", "must have 3 elements, but has 4"),
+        ("empty", "protocol", "no guidance_output"),
+        ("other-role", "protocol", "no guidance_output"),
+        ("error", "error", "no solution"),
+        ("garbage", "protocol", "not readable"),
+        ("long", "protocol", "too long"),
+    ],
+)
+def test_failure_of_a_program_ends_the_flight_with_its_reason(fault, reason, detail):
+    event = fly_to_failure(program(fault))
+    assert event["reason"] == reason
+    assert detail in event["detail"]
+
+
+@pytest.mark.parametrize("fault", ["hang", "late", "half"])
+def test_program_that_answers_too_late_ends_the_flight(fault):
+    start = time.monotonic()
+    event = fly_to_failure(program(fault, deadline_s=0.5))
+    assert event["reason"] == "timeout"
+    assert time.monotonic() - start < 20.0
+
+
+@pytest.mark.parametrize(
+    ("fault", "problem"),
+    [
+        ("version", "must have interface version 1, not 2"),
+        ("token", "LUNARSIM_TOKEN"),
+        ("init", "exit code 4"),
+        ("no-connection", "did not connect in time"),
+    ],
+)
+def test_program_that_does_not_start_is_an_input_error(fault, problem):
+    before, folders = children(), left_over()
+    with pytest.raises(InputError, match=problem) as caught:
+        Simulation(program(fault, start_time_s=3.0 if fault != "no-connection" else 0.5), 1)
+    assert caught.value.field == "guidance.program"
+    assert children() == before
+    assert left_over() == folders
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason", "detail"),
+    [
+        ("crash", "died", "SIGSEGV"),
+        ("abort", "died", "SIGABRT"),
+        ("exit", "died", "exit code 3"),
+        ("error", "error", "lunarsim_guidance_step returned 5"),
+        ("nan", "invalid-output", "nan"),
+    ],
+)
+def test_failure_of_an_isolated_library_ends_the_flight_with_its_reason(fault, reason, detail):
+    event = fly_to_failure(with_library(fault))
+    assert event["reason"] == reason
+    assert detail in event["detail"]
+
+
+def test_library_that_hangs_ends_the_flight():
+    assert fly_to_failure(with_library("hang", deadline_s=0.5))["reason"] == "timeout"
+
+
+def test_library_in_this_process_reports_errors_as_well():
+    event = fly_to_failure(with_library("error", isolated=False))
+    assert event["reason"] == "error"
+    assert fly_to_failure(with_library("nan", isolated=False))["reason"] == "invalid-output"
+
+
+@pytest.mark.parametrize("isolated", [True, False])
+def test_unsuitable_library_is_an_input_error(isolated, tmp_path):
+    def error(path: Path, **settings: object) -> str:
+        lunarsim.allow_programs(path)
+        given = {"kind": "library", "path": str(path), "isolated": isolated, **settings}
+        with pytest.raises(InputError) as caught:
+            Simulation(small(guidance=given), 1)
+        assert caught.value.field.startswith("guidance.")
+        return str(caught.value)
+
+    text = tmp_path / "text.so"
+    text.write_text("not a library")
+    assert "must be a shared library" in error(text)
+    assert "returned 7" in error(library("faulty_software.c"), configuration="init")
+    assert "lunarsim_guidance_init" in error(library("nearest_safe.cpp"))
+    old = build_folder() / "old.so"
+    source = Path(__file__).with_name("faulty_software.c")
+    header = Path(lunarsim.__file__).parent / "interface"
+    subprocess.run(
+        [compiler("gcc"), "-shared", "-fPIC", "-DVERSION=99", f"-I{header}", source, "-o", old],
+        check=True,
+    )
+    assert "must have interface version 1, but has version 99" in error(old)
+
+
+def test_nothing_is_left_if_lunarsim_is_killed(tmp_path):
+    """A program that hangs ends when lunarsim is killed."""
+    script, folders = tmp_path / "fly.py", left_over()
+    script.write_text(
+        "import lunarsim\n"
+        "from tests.external.test_failures import children, program\n"
+        "from lunarsim.simulation import Simulation\n"
+        "simulation = Simulation(program('hang', deadline_s=600), 1)\n"
+        "print(*children(), flush=True)\n"
+        "simulation.run()\n"
+    )
+    root = Path(lunarsim.__file__).parent.parent
+    child = subprocess.Popen(
+        [sys.executable, str(script)], stdout=subprocess.PIPE, text=True, cwd=root,
+        env=os.environ | {"PYTHONPATH": f"{root}:{root / 'envs'}"},
+    )  # fmt: skip
+    pid = int(child.stdout.readline())
+    child.kill()
+    child.wait()
+    deadline = time.monotonic() + 5.0
+    while Path(f"/proc/{pid}").exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not Path(f"/proc/{pid}").exists()
+    assert left_over() == folders
+
+
