@@ -161,7 +161,7 @@ def to_protobuf(struct: Struct, message: Any, memory: Memory) -> None:
         elif kind == "text":
             setattr(message, name, bytes(struct.get(name)).decode("utf-8", "replace"))
         else:
-            parts = struct.parts.get(name, ())
+            parts = struct.parts[name]
             for part in parts if f.is_list else parts[: struct.get(f"{name}_count")]:
                 to_protobuf(part, getattr(message, name).add(), memory)
 

@@ -122,6 +122,7 @@ def _answer_calls(channel: Channel, roles: dict[str, Callable[[Struct], Software
         channel.receive(request)
         try:
             from_protobuf(getattr(request, f"{role}_input"), given, memory)
+            answer.clear()
             software.step(given, answer)
             to_protobuf(answer, getattr(reply, f"{role}_output"), memory)
         except Exception as error:  # the software can raise anything

@@ -34,6 +34,18 @@ def _member(f: Field) -> tuple[Any, ...]:
     return f.name, of, f.shape
 
 
+@cache
+def _empty(message: str) -> NDArray[Any]:
+    """Return a structure (1,) whose doubles are NaN and whose other fields are zero."""
+    made = np.zeros(1, dtype_of(message))
+    for f in MESSAGES[message].fields:
+        if f.is_message and not f.count:
+            made[f.name] = _empty(f.type)
+        elif f.type == "double" and not f.count:
+            made[f.name] = np.nan
+    return made
+
+
 def address_of(array: NDArray[Any]) -> int:
     """Return the address of an array's first element."""
     return int(array.__array_interface__["data"][0])
@@ -79,7 +91,7 @@ class Struct:
         for f in self.message.fields:
             view = self._views[f.name]
             if f.is_list:
-                self._lists[f.name] = []
+                self._lists[f.name], self.parts[f.name] = [], []
             elif f.is_message and f.shape:
                 self.parts[f.name] = [Struct(f.type, view[0, k : k + 1]) for k in range(f.shape[0])]
             elif f.is_message:
@@ -91,8 +103,11 @@ class Struct:
             self._views[name][0] = value
 
     def clear(self) -> None:
-        """Set all bytes of the structure to zero."""
-        self.buffer.view(np.uint8)[:] = 0
+        """Set all numbers of type double to NaN, and all other fields to zero.
+
+        A number that software does not write is then found.
+        """
+        self.buffer[:] = _empty(self.message.name)
 
     def get(self, name: str) -> Any:
         """Return a number, a text as bytes, or a view of an array of fixed size."""
@@ -106,7 +121,7 @@ class Struct:
 
     def resize_list(self, name: str, count: int) -> list[Struct]:
         """Set the number of elements of a list of messages; return them with old contents."""
-        current: list[Struct] = self.parts.get(name, [])
+        current: list[Struct] = self.parts[name]
         if len(current) == count:
             return current
         elements = self._lists[name]

@@ -185,7 +185,8 @@ class Simulation:
             )
         self.scenario = scenario
         self.streams = RandomStreams(seed)
-        self.policy = make_policy(scenario, policy)
+        # External computers decide by themselves.
+        self.policy = None if scenario.computer else make_policy(scenario, policy)
         world = world if world is not None else build_world(scenario, self.streams)
         self._truth = truth
         state, briefing = plan(scenario, world, self.streams)

@@ -25,8 +25,9 @@ def allowed(monkeypatch):
 def children() -> set[int]:
     """Return the processes whose parent is this one, and folders of connections."""
     out = subprocess.run(
-        ["ps", "--ppid", str(os.getpid()), "-o", "pid=,comm="], capture_output=True, text=True
-    ).stdout
+        ["ps", "--ppid", str(os.getpid()), "-o", "pid=,comm="], check=True, capture_output=True,
+        text=True,
+    ).stdout  # fmt: skip
     return {int(line.split()[0]) for line in out.splitlines() if "ps" not in line.split()[1:]}
 
 
@@ -186,5 +187,3 @@ def test_nothing_is_left_if_lunarsim_is_killed(tmp_path):
         time.sleep(0.05)
     assert not Path(f"/proc/{pid}").exists()
     assert left_over() == folders
-
-

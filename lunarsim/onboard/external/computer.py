@@ -114,8 +114,9 @@ class ExternalComputer:
         self._check()
         answer = self._answer
         self.estimate = read_estimate(answer.parts["estimate"])
-        self.site = np.array(answer.get("site"))
-        self.time_to_go = float(answer.get("time_to_go"))
+        site = np.array(answer.get("site"))
+        self.site = site if np.isfinite(site).all() else self.briefing.target
+        self.time_to_go = float(np.nan_to_num(answer.get("time_to_go")))
         was_aborting = self._command.abort
         self._command = Command(
             float(answer.get("thrust")), np.array(answer.get("attitude")), self._tasks(),

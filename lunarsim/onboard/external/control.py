@@ -41,7 +41,7 @@ class ExternalControl:
             If the software fails.
         """
         self._given.set(error=error, rate=rate, inertia=inertia)
-        self._answer.set(torque=np.nan)
+        self._answer.clear()
         self._connection.step(self._given, self._answer)
         torque = np.array(self._answer.get("torque"))
         if not np.isfinite(torque).all():

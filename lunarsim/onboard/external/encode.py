@@ -82,7 +82,7 @@ def read_estimate(given: Struct) -> Estimate:
         attitude=given.get("attitude").copy(),
         rate=given.get("rate").copy(),
         mass=float(given.get("mass")),
-        covariance=given.get("covariance").copy(),
+        covariance=np.nan_to_num(given.get("covariance")),
         lost=bool(given.get("lost")),
     )
 

@@ -56,7 +56,7 @@ class ExternalGuidance:
         self._given.set(time=time, time_to_go=time_to_go)
         write_estimate(self._given.parts["estimate"], estimate)
         write_end(self._given.parts["end"], end)
-        self._answer.set(acceleration=np.nan)
+        self._answer.clear()
         self._connection.step(self._given, self._answer)
         acceleration = np.array(self._answer.get("acceleration"))
         if not np.isfinite(acceleration).all():

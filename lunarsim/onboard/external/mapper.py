@@ -69,7 +69,7 @@ class ExternalMapper(HazardMapper):
         for name, is_used in (("lidar_scan", is_scan), ("camera_image", not is_scan)):
             for element in self._given.resize_list(name, int(is_used)):
                 self._writer.write_one(element, self._sensor, measurement)
-        self._answer.set(changed=0)
+        self._answer.clear()
         self._connection.step(self._given, self._answer)
         if not self._answer.get("changed"):
             return

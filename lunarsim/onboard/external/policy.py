@@ -41,7 +41,7 @@ class ExternalPolicy:
             If the software fails.
         """
         write_observation(self._given, observation)
-        self._answer.set(action=PolicyAction.KEEP, site=np.nan, reason=b"")
+        self._answer.clear()
         self._connection.step(self._given, self._answer)
         action, site = int(self._answer.get("action")), np.array(self._answer.get("site"))
         reason = bytes(self._answer.get("reason")).decode("utf-8", "replace") or "external"
