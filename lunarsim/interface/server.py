@@ -132,4 +132,6 @@ def _answer_calls(channel: Channel, roles: dict[str, Callable[[Struct], Software
 
 
 def _description(error: Exception) -> str:
+    if isinstance(error, InputError):
+        return f"{error.problem}. {error.remedy}".strip()
     return f"{type(error).__name__}: {error}".partition("\n")[0][:500]

@@ -65,9 +65,8 @@ def _read(path: Path) -> tuple[Any, Any]:
     try:
         description = fmpy.read_model_description(str(path))
     except Exception as error:  # fmpy raises many types on damaged files
-        raise InputError(
-            "path", str(path), f"must be an FMU ({str(error).partition(chr(10))[0]})"
-        ) from None
+        reason = " ".join(str(error).split())
+        raise InputError("path", str(path), f"must be an FMU ({reason})") from None
     if description.coSimulation is None or not description.fmiVersion.startswith(("2", "3")):
         raise InputError("path", str(path), "must be an FMU for co-simulation, FMI 2.0 or 3.0")
     return fmpy, description

@@ -94,9 +94,8 @@ class ProcessConnection:
             shutil.rmtree(folder, ignore_errors=True)
         except SoftwareFailure as error:
             self.close()
-            raise InputError(
-                "program", self._program, f"must start and initialise itself ({error.detail})"
-            ) from None
+            problem = f"must start and initialise itself: {error.detail}"
+            raise InputError("program", self._program, problem.rstrip(".")) from None
         except BaseException:
             self.close()
             raise

@@ -111,9 +111,12 @@ class LibrarySoftware(_Software):
         given = new_briefing(briefing, self.configuration)
         connection: Connection
         if self.isolated:
-            connection = ProcessConnection(
-                hosted(self.path, role), role, given, deadline=self.deadline
-            )
+            try:
+                connection = ProcessConnection(
+                    hosted(self.path, role), role, given, deadline=self.deadline
+                )
+            except InputError as error:
+                raise InputError("path", str(self.path), error.problem, error.remedy) from None
         else:
             connection = load_software(self.path, role, given)
         return with_record(connection, role, given)  # type: ignore[no-any-return]
