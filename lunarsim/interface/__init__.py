@@ -1,1 +1,1 @@
-"""Interface of external flight software: messages, C structures, Protobuf messages."""
+"""Interface of external flight software: messages in C and Protobuf."""

@@ -144,7 +144,7 @@ def _plan(message: str) -> tuple[tuple[str, Field], ...]:
 
 
 def to_protobuf(struct: Struct, message: Any, memory: Memory) -> None:
-    """Copy a structure into an empty Protobuf message, and its large arrays into `memory`."""
+    """Copy a structure into an empty Protobuf message, and its arrays into `memory`."""
     for kind, f in _plan(struct.message.name):
         name = f.name
         if kind == "number":

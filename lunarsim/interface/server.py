@@ -1,4 +1,4 @@
-"""Flight software in Python that runs in a process of its own.
+"""Flight software in Python that runs in another process.
 
 A program defines a class for each of its roles and calls `serve`::
 

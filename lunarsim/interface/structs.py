@@ -20,7 +20,7 @@ _POINTER = np.uint64
 
 @cache
 def dtype_of(message: str) -> np.dtype[np.void]:
-    """Return the NumPy type of a message, aligned as the C compiler aligns its structure."""
+    """Return the NumPy type of a message, aligned as in C."""
     return np.dtype([_member(f) for f in MESSAGES[message].fields], align=True)
 
 

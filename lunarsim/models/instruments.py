@@ -142,4 +142,4 @@ class StarTrackerInstrument:
 
 @dataclass(frozen=True)
 class NavigationFixInstrument:
-    """Calibration of an external navigation system: empty, as each fix has its covariance."""
+    """Empty calibration of external navigation; each fix has its covariance."""

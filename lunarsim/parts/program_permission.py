@@ -17,7 +17,7 @@ ALLOW_PROGRAMS_VARIABLE = "LUNARSIM_ALLOW_PROGRAMS"
 
 
 def allowed_programs() -> tuple[Path, ...]:
-    """Return the programs and libraries that scenario files may run, as absolute paths."""
+    """Return the absolute paths of the programs that scenario files may run."""
     names = os.environ.get(ALLOW_PROGRAMS_VARIABLE, "").split(os.pathsep)
     return tuple(dict.fromkeys(Path(name).resolve() for name in names if name))
 

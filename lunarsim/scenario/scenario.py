@@ -354,7 +354,7 @@ class Scenario:
 def _from_process(
     tables: dict[str, Any], modules: tuple[str, ...], programs: tuple[Path, ...]
 ) -> Scenario:
-    """Unpickle a scenario; allow the modules and programs that the pickling process allowed."""
+    """Unpickle a scenario; allow what the pickling process allowed."""
     allow_programs(*programs)
     return Scenario.from_dict(tables, allow_modules=modules)
 

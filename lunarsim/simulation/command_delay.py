@@ -1,4 +1,4 @@
-"""Delay between the measurements of a cycle and the effect of the commands computed from them."""
+"""Delay between the measurements of a cycle and the effect of its commands."""
 
 from __future__ import annotations
 

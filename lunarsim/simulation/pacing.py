@@ -1,4 +1,4 @@
-"""Run a flight at wall-clock rate, and count the control cycles that take too long."""
+"""Run a flight at wall-clock rate, and count late control cycles."""
 
 from __future__ import annotations
 

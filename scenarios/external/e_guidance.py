@@ -1,4 +1,4 @@
-"""E-guidance of the approach: a guidance law in Python, in a process of its own.
+"""E-guidance of the approach: a guidance law in Python, in another process.
 
     lunarsim fly golombek --set guidance.kind=process --set guidance.program=e_guidance.py \
         --allow-program e_guidance.py

@@ -1,4 +1,4 @@
-"""Policy in Python, in a process of its own: the nearest cell that is safe with its neighbours.
+"""Policy in Python, in another process: the nearest cell that is safe with its neighbours.
 
     lunarsim fly golombek --set policy.kind=process --set policy.program=nearest_safe.py \
         --set policy.configuration=0.9 --allow-program nearest_safe.py
@@ -19,7 +19,7 @@ KEEP, DIVERT = 0, 1
 MAX_DISTANCE = 60.0
 
 
-class NearestSafe:
+class NearestSafeCell:
     """Policy of one flight."""
 
     def __init__(self, briefing: Any) -> None:
@@ -59,4 +59,4 @@ class NearestSafe:
 
 
 if __name__ == "__main__":
-    serve(policy=NearestSafe)
+    serve(policy=NearestSafeCell)

@@ -206,7 +206,7 @@ def _align_thrust(gimbal_angles: Array) -> Array:
 
 
 def attitude_loop(briefing: Briefing) -> AttitudeLoop:
-    """Return the attitude loop of a flight: `JetLoop` if the lander has on-off thrusters.
+    """Return the attitude loop of a flight: `JetLoop` if the lander has thrusters.
 
     All other landers get an `AttitudeLoop`. A control law with a method `build` is built for the
     flight.

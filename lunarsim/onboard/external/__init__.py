@@ -1,1 +1,1 @@
-"""External flight software: a library or a process in place of parts of the onboard computer."""
+"""External flight software in place of parts of the onboard computer."""

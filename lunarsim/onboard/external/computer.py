@@ -35,9 +35,9 @@ class _SiteFrame:
 
 
 class ExternalComputer:
-    """Onboard computer of one flight in external software; attitude control is lunarsim's.
+    """Onboard computer of one flight in external software.
 
-    Attributes are those of `lunarsim.onboard.computer.OnboardComputer`. There are no maps and
+    Attitude control is that of the scenario. Attributes are those of `lunarsim.onboard.computer.OnboardComputer`. There are no maps and
     candidate sites, and no policy of lunarsim is asked.
 
     Parameters

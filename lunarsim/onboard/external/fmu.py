@@ -1,4 +1,4 @@
-"""Connection to flight software in a functional mock-up unit (FMU) for co-simulation.
+"""Connection to flight software in an FMU (functional mock-up unit).
 
 The variables of the FMU have the names of the fields: ``time_to_go``, ``estimate.mass``, and for
 vectors ``estimate.position[1]`` to ``estimate.position[3]``. An FMU of FMI 3.0 can also have an
@@ -25,7 +25,7 @@ PERIODS = {"guidance": "cycle", "control": "step"}
 
 
 def scalar_views(struct: Struct, prefix: str = "") -> dict[str, Any]:
-    """Return one-element views of all numbers of a message, by the name of the FMU's variable.
+    """Return views of all numbers of a message by the name of the variable.
 
     Arrays of variable size and texts are omitted.
     """

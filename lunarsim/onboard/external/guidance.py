@@ -71,7 +71,7 @@ class ExternalGuidance:
 
 
 class _Approach:
-    """Approach guidance; the cost of reaching a site is that of the Apollo law's paths."""
+    """Approach guidance; the cost of a site is that of the Apollo law's paths."""
 
     def build(self, briefing: Briefing, lag: float) -> ExternalGuidance:
         """Build the guidance law of one flight; the software gets `lag` in its briefing."""

@@ -13,7 +13,7 @@ from lunarsim.onboard.external.failure import SoftwareFailure
 
 
 def load_library(path: Path, role: str) -> tuple[Any, Any, Any]:
-    """Load a shared library; return the functions `init`, `step` and `close` of a role.
+    """Load a shared library; return the three functions of a role.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Connection to flight software in a process of its own."""
+"""Connection to flight software in another process."""
 
 from __future__ import annotations
 

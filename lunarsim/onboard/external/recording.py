@@ -1,4 +1,4 @@
-"""Record the calls of external software in a file, and repeat them without a simulation.
+"""Record the calls of external software, and repeat them without a simulation.
 
 A record holds the briefing and the input and answer of each call: for each message its length
 (unsigned, 64 bits, little-endian) and its bytes, and the same for the arrays of variable size. The
@@ -129,7 +129,10 @@ def with_record(connection: Any, role: str, briefing: Struct) -> Any:
 
 
 class RecordedCalls(NamedTuple):
-    """Role, briefing and calls of a record; a call is its request, arrays, reply and arrays."""
+    """Role, briefing and calls of a record.
+
+    A call is the request and its arrays, the reply and its arrays.
+    """
 
     role: str
     briefing: Struct
@@ -183,15 +186,18 @@ def _parts(data: bytes) -> list[bytes]:
     return parts
 
 
-class ReplayResult(NamedTuple):
-    """Number of repeated calls, and index and fields of the first different answer, or None."""
+class ReplayedCalls(NamedTuple):
+    """Number of repeated calls, and the first different answer.
+
+    `first_difference` is its index, or None; `fields` are the names of its fields that differ.
+    """
 
     calls: int
     first_difference: int | None
     fields: str
 
 
-def replay(record: RecordedCalls, connection: Any) -> ReplayResult:
+def replay(record: RecordedCalls, connection: Any) -> ReplayedCalls:
     """Repeat recorded calls with software and compare its answers byte for byte."""
     role = ROLES[record.role]
     given, answer = Struct(role.input), Struct(role.output)
@@ -206,8 +212,8 @@ def replay(record: RecordedCalls, connection: Any) -> ReplayResult:
             before.ParseFromString(wanted)
             output = f"{role.name}_output"
             names = _different(getattr(before, output), getattr(reply, output))
-            return ReplayResult(n + 1, n, ", ".join(names) or "arrays")
-    return ReplayResult(len(record.calls), None, "")
+            return ReplayedCalls(n + 1, n, ", ".join(names) or "arrays")
+    return ReplayedCalls(len(record.calls), None, "")
 
 
 def _different(a: Any, b: Any) -> list[str]:

@@ -34,7 +34,7 @@ class Connection(Protocol):
 
 
 def hosted(path: Path, role: str) -> list[str]:
-    """Return the command that runs one role of a shared library or an FMU in a process."""
+    """Return the command that runs a shared library or an FMU in a process."""
     return [sys.executable, str(_HOST), str(path), role]
 
 
@@ -82,7 +82,7 @@ class LibrarySoftware(_Software):
     configuration
         Text for the software.
     isolated
-        Whether the library runs in a process of its own.
+        Whether the library runs in another process.
     deadline
         Maximum wall-clock time of an answer of an isolated library, s.
     """
@@ -92,7 +92,7 @@ class LibrarySoftware(_Software):
         "allowed with --allow-program",
     )  # fmt: skip
     isolated: bool = quantity(
-        True, help="whether the library runs in a process of its own; otherwise it is faster, but "
+        True, help="whether the library runs in another process; otherwise it is faster, but "
         "if it crashes or hangs, lunarsim does too",
     )  # fmt: skip
 

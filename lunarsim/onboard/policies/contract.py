@@ -238,7 +238,7 @@ class RetargetingPolicy(Protocol):
 
 @runtime_checkable
 class BuiltPerFlight(Protocol):
-    """Settings of a policy that is built anew for each flight."""
+    """Settings of a policy that is built for each flight."""
 
     def build(self, briefing: Briefing) -> RetargetingPolicy:
         """Return the policy of one flight, built from its briefing."""
