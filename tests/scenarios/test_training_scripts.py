@@ -54,14 +54,14 @@ def _train(script, out, *arguments):
 
 
 def _fly(environment, agent, *arguments):
-    """Fly 20 episodes of an agent as a command; return the metrics of its flights."""
+    """Fly 20 episodes of an agent as a command; return its metrics."""
     out = agent.parent / "flights"
     command = [sys.executable, "-m", "lunarsim", "evaluate", environment, "--agent", str(agent)]
     subprocess.run(
         [*command, "--episodes", "20", "--out", str(out), *arguments],
         cwd=ROOT, check=True, capture_output=True,
     )  # fmt: skip
-    return json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    return json.loads((out / "summary.json").read_text(encoding="utf-8"))["agents"][0]
 
 
 def test_advantages_are_discounted_sums_of_errors_up_to_the_end_of_the_episode(script):
@@ -95,7 +95,9 @@ def test_the_agent_of_the_training_in_one_file_flies(tmp_path):
     sizes = ["--lanes", "64", "--horizon", "8", "--batch", "128", "--steps", "10240"]
     printed = _train("single_file_ppo.py", tmp_path / "ppo.onnx", *sizes)
     assert "10240 steps, " in printed and "safe in the last 500 flights" in printed
-    print(_fly("Guidance-v1", tmp_path / "ppo.onnx"))
+    metrics = _fly("Guidance-v1", tmp_path / "ppo.onnx")
+    assert (metrics["name"], metrics["episodes"]) == ("ppo", 20)
+    assert metrics["score"]["value"] > -13.0  # a flight without touchdown has -15
 
 
 @pytest.mark.slow
@@ -103,4 +105,6 @@ def test_the_agent_of_the_training_with_masks_flies(tmp_path):
     pytest.importorskip("sb3_contrib", reason=NO_EXTRA)
     printed = _train("masked_ppo.py", tmp_path / "masked.npz", "--steps", "8192")
     assert "split validation: safe" in printed and "split test: safe" in printed
-    print(_fly("Retarget-v1", tmp_path / "masked.npz", "--scenario", "few_sites"))
+    metrics = _fly("Retarget-v1", tmp_path / "masked.npz", "--scenario", "few_sites")
+    assert (metrics["name"], metrics["episodes"]) == ("masked", 20)
+    assert metrics["safe"]["count"] >= 6  # 14 at the time of writing
