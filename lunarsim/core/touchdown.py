@@ -73,7 +73,7 @@ class TouchdownParams(NamedTuple):
     inertia: np.ndarray
 
 
-@kernel()
+@kernel(exact=True)
 def height_at(z, frame, x, y):
     """Interpolate the height, m, of a terrain raster at (x, y); NaN outside its grid.
 
@@ -177,12 +177,11 @@ def support_planes(legs, planes):
         _fit_plane(legs[1], legs[2], legs[3], planes[1])
 
 
-@kernel()
+@kernel(exact=True)
 def _inside(x, y, legs):
     """Return whether (x, y) lies in the counter-clockwise polygon `legs` (n, 3)."""
-    n = len(legs)
-    for k in range(n):
-        a, b = legs[k], legs[(k + 1) % n]
+    for k in range(len(legs)):
+        a, b = legs[k - 1], legs[k]
         if (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]) < 0.0:
             return False
     return True
@@ -204,11 +203,14 @@ def samples_between_legs(legs, spacing):
     points = np.empty((rows * cols, 2))
     count = 0
     for i in range(rows):
-        for j in range(cols):
-            x, y = west + j * spacing, south + i * spacing
-            if _inside(x, y, legs):
-                points[count, 0], points[count, 1] = x, y
-                count += 1
+        y, first, end = south + i * spacing, 0, cols
+        while first < end and not _inside(west + first * spacing, y, legs):
+            first += 1
+        while first < end and not _inside(west + (end - 1) * spacing, y, legs):
+            end -= 1
+        for j in range(first, end):  # the polygon is convex
+            points[count, 0], points[count, 1] = west + j * spacing, y
+            count += 1
     return points[:count]
 
 

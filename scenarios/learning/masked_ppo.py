@@ -16,14 +16,17 @@ from typing import Any
 
 import click
 import gymnasium
-import torch
-from sb3_contrib import MaskablePPO
 
 from lunarsim import InputError
-from lunarsim.errors import check_output
+from lunarsim.errors import check_output, imports_of_extra
 from lunarsim_envs.training.held_out import HeldOutResult, evaluate_held_out
-from lunarsim_envs.training.sb3_vec_env import Sb3VecEnv
-from lunarsim_envs.training.site_policy import SitePolicy
+
+with imports_of_extra("rl"):
+    import torch
+    from sb3_contrib import MaskablePPO
+
+    from lunarsim_envs.training.sb3_vec_env import Sb3VecEnv
+    from lunarsim_envs.training.site_policy import SitePolicy
 
 STEPS, RATE = 200_000, 2e-3
 # Parallel flights and their worlds, and steps of each flight between two updates.

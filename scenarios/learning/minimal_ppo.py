@@ -9,10 +9,14 @@ It needs the extra `rl` and about six minutes on one core.
 import sys
 
 import gymnasium
-import torch
-from stable_baselines3 import PPO
 
-from lunarsim_envs.training.sb3_vec_env import Sb3VecEnv
+from lunarsim.errors import imports_of_extra
+
+with imports_of_extra("rl"):
+    import torch
+    from stable_baselines3 import PPO
+
+    from lunarsim_envs.training.sb3_vec_env import Sb3VecEnv
 
 if __name__ == "__main__":
     steps = int(sys.argv[1]) if len(sys.argv) > 1 else 3_000_000

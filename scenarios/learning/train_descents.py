@@ -22,6 +22,7 @@ from rich.console import Console
 
 from lunarsim import InputError
 from lunarsim.console import plain_console
+from lunarsim.errors import imports_of_extra
 from lunarsim_envs.training.held_out import HeldOutResult
 from lunarsim_envs.training.settings import SETTINGS, PpoSettings
 
@@ -80,13 +81,9 @@ def main(
 ) -> None:  # fmt: skip
     """Train an agent of an environment and compare it with reference agents."""
     console = plain_console(150, soft_wrap=True)
-    try:
+    with imports_of_extra("rl"):
         from lunarsim_envs.training.curve import draw_curve
         from lunarsim_envs.training.descents import TrainingRun, train
-    except ModuleNotFoundError as error:
-        raise click.UsageError(
-            f"The package {error.name} is missing. Install the extra `rl`."
-        ) from None
 
     def report(run: TrainingRun, seen: HeldOutResult) -> None:
         spent = "-" if math.isnan(seen.propellant) else f"{seen.propellant:.1f} kg"

@@ -9,7 +9,6 @@ within each interval. Complete shards are held out for validation.
 
 from __future__ import annotations
 
-import importlib.util
 import itertools
 import json
 import time as clock
@@ -26,7 +25,7 @@ from rich.console import Console
 from lunarsim import InputError, Scenario
 from lunarsim.atomic_files import atomic_write_text
 from lunarsim.console import plain_console
-from lunarsim.errors import check_output
+from lunarsim.errors import check_output, imports_of_extra
 from lunarsim.onboard.guidance.neural_law import NeuralOptimalLaw
 from lunarsim.onboard.guidance.optimal_network import (
     DEFAULT_NETWORK_PATH,
@@ -240,8 +239,8 @@ def main(
             check_output("--json", metrics, ".json")
     except InputError as error:
         raise click.UsageError(str(error)) from None
-    if importlib.util.find_spec("torch") is None:
-        raise click.UsageError("The package torch is missing. Install the extra `rl`.")
+    with imports_of_extra("rl"):
+        import torch  # noqa: F401  (checked before the descents are read)
     out_of = max(len(files) // 20, 1)
     learnt, kept = DescentNodes.load(files[:-out_of]), DescentNodes.load(files[-out_of:])
     gravity = Scenario.from_dict({"name": "descents"}).gravity_m_s2

@@ -10,10 +10,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
+from lunarsim.grid import Grid
 from lunarsim.scenario import Scenario
 from lunarsim.vehicle.domain_randomization import RANDOM_QUANTITIES
 from lunarsim.vehicle.state import State
 from lunarsim.vehicle.touchdown import evaluate_touchdown, pad_contacts
+from lunarsim.world import World
+from lunarsim.world.terrain import Heightfield, Terrain
 from lunarsim_envs.descent.batch import FLYING, LANDED, LATE, LOST, DescentBatch, VehicleParams
 from lunarsim_envs.descent.worlds import WorldPool
 from tests.reference import descent as plain
@@ -130,6 +133,39 @@ def test_no_terrain_rises_faster_than_its_bound(worlds):
         there = xy + (distance * np.array([np.cos(angle), np.sin(angle)])).T
         slope = (elevation(there) - elevation(xy)) / distance
         assert np.abs(slope).max() <= bound * (1.0 + 1e-6) < 4.0 * np.abs(slope).max()
+
+
+def test_the_bound_of_the_slopes_changes_no_touchdown_beside_unknown_terrain():
+    """Bands and points of unknown terrain, with steps of 2 m across the bands."""
+    scenario = ROUGH.changed(rocks={"cover": 0.0}, target={"scatter_m": [0.0, 0.0]})
+    grid = Grid.centred((3.0, -2.0), 40.0, 0.1)
+    rng = np.random.default_rng(8)
+    z = rng.normal(0.0, 0.01, (grid.rows, grid.cols))
+    row, col = grid.rows // 2, grid.cols // 2
+    z[:, : col - 60] += 2.0
+    z[: row - 60] -= 2.0
+    z[:, col - 60] = z[row - 60] = np.nan
+    points = rng.random(z.shape) < 0.005
+    points[row - 40 : row + 40, col - 40 : col + 40] = False  # known around the target
+    z[points] = np.nan
+    terrain = Terrain(Heightfield(grid, z.astype(np.float32)))
+    bounded = WorldPool.rasterize(scenario, 1, [World(terrain, 1.62)])
+    assert np.isfinite(bounded.max_slopes).all() and bounded.max_slopes[0] < 5.0
+    found = []
+    for worlds in (bounded, replace(bounded, max_slopes=np.full(1, np.inf))):
+        lanes = lanes_of(worlds, 400, True, scenario=scenario)
+        lanes.starts[:, :3] = [0.0, 0.0, 6.0]
+        lanes.starts[:, 3:6] = [0.0, 0.0, -2.0]
+        lanes.starts[:, 6:] = [5.0, 0.1]
+        lanes.begin(np.ones(400, bool))
+        for _ in range(80):
+            lanes.move(np.tile([0.0, 0.0, 1.5], (400, 1)))
+        found.append((lanes.y, lanes.ended, lanes.failed, lanes.touchdown_values))
+    _, ended, failed, _ = found[0]
+    unknown = (ended == LANDED) & (failed & 1 == 1)
+    assert unknown.sum() > 20 and ((ended == LANDED) & ~unknown).sum() > 20
+    for first, second in zip(*found, strict=True):
+        assert np.array_equal(first, second, equal_nan=True)
 
 
 @pytest.mark.parametrize("guided", [True, False])

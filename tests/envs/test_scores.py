@@ -40,6 +40,16 @@ FLOWN = {
         },
         (2.0, 5.0, 10.0),
     ),
+    # Lander of a third of the mass, three legs, another start and rougher terrain.
+    "small": (
+        {
+            "vehicle.dry_mass_kg": 340.0, "vehicle.propellant_mass_kg": 160.0,
+            "vehicle.thrust_min_n": 200.0, "vehicle.thrust_max_n": 2200.0,
+            "vehicle.legs": 3, "vehicle.leg_radius_m": 1.3, "terrain.rms_slope_deg": 3.0,
+            "start.position_m": [0.0, -250.0, 300.0], "start.velocity_m_s": [0.0, 12.0, -8.0],
+        },
+        (4.0, 20.0),
+    ),
 }  # fmt: skip
 
 
@@ -165,7 +175,7 @@ def test_returns_from_one_start_differ_as_the_scores_do():
     starts = {}
     for (level, scenario, _, _), (_, _, score, total, _) in flights().items():
         starts.setdefault((level, scenario), []).append((score, total))
-    assert len(starts) == 6
+    assert len(starts) == len(FLOWN) + 2
     for pairs in starts.values():
         score, total = np.array(pairs).T
         assert np.ptp(score) > 5.0 and np.ptp(score - total) < 1e-9

@@ -308,6 +308,20 @@ def test_a_network_of_sites_chooses_saves_and_flies(tmp_path):
         SiteNetwork.load(tmp_path / "wrong.npz")
 
 
+def test_training_keeps_the_networks_with_the_highest_worth():
+    """In the first generation, the best network is worth more than the mean of all networks."""
+    worth, weight = [], CemSettings.propellant_weight
+    for elite in (1, 6):
+        settings = CemSettings(
+            hidden=2, population=6, elite=elite, flights=8, generations=1, spread=2.0
+        )
+        train(
+            lanes(48), settings,
+            lambda _, safe, burnt, sigma: worth.append(safe - weight * burnt),
+        )  # fmt: skip
+    assert worth[0] > worth[1] + 1e-6
+
+
 def test_training_flies_every_lane_by_its_own_network_and_is_the_same_again():
     settings = CemSettings(hidden=2, population=3, elite=1, flights=2, generations=2)
     many = lanes(6)

@@ -75,6 +75,31 @@ def test_held_out_results_without_a_safe_landing():
     assert np.isnan(evaluate_held_out(sites, lambda seen, info: np.zeros(3, int)).on_target)
 
 
+class Landings:
+    """A batch whose flights land safely in their first step, at the limit of `on_target`."""
+
+    num_envs = 4
+
+    def reset(self, seed):
+        return np.zeros((4, 1)), {}
+
+    def step(self, actions):
+        miss = np.array([0.0, 10.0, 10.01, 99.0])
+        info = {"safe": np.ones(4, bool), "propellant_kg": np.full(4, 40.0), "miss_m": miss}
+        return np.zeros((4, 1)), np.zeros(4), np.ones(4, bool), np.zeros(4, bool), info
+
+
+def test_landings_within_ten_metres_are_on_target():
+    result = evaluate_held_out(Landings(), lambda seen, info: None)
+    assert (result.safe, result.on_target, result.propellant) == (1.0, 0.5, 40.0)
+
+
+def test_a_discount_per_second_does_not_depend_on_the_action_rate():
+    for rate in (5.0, 10.0, 50.0):
+        settings = PpoSettings(rate=rate, discount_per_s=0.97)
+        assert settings.discount**rate == pytest.approx(0.97, rel=1e-12)
+
+
 @pytest.mark.parametrize("mode", ["SameStep", "NextStep"])
 def test_a_truncated_flight_is_no_safe_landing(mode):
     network = Network.load(packaged_agents()["ppo"])
@@ -187,7 +212,7 @@ def test_a_network_of_control_flies_as_it_was_trained(tmp_path):
     run = TrainingRun(small, tmp_path)
     run.advance()
     run.checkpoint()
-    assert run.model.gamma == 0.998
+    assert run.model.gamma == pytest.approx(0.98**0.1)
     env = ControlEnv(changes=small.changes, rate_hz=10.0)
     seen, _ = env.reset(seed=1)
     wanted = run.model.predict(seen, deterministic=True)[0]

@@ -35,6 +35,20 @@ def contacts(lander, position, attitude, terrain):
     return np.array(legs)
 
 
+def samples_between_legs(legs, spacing):
+    """Return the points of a grid inside the polygon of the legs; test every point of the grid."""
+    (west, south), (east, north) = legs[:, :2].min(axis=0), legs[:, :2].max(axis=0)
+    rows, cols = (
+        math.ceil((high + spacing - low) / spacing) for low, high in ((south, north), (west, east))
+    )
+    y, x = (first + np.arange(n) * spacing for first, n in ((south, rows), (west, cols)))
+    x, y = (grid.ravel() for grid in np.meshgrid(x, y))
+    inside = np.ones(len(x), bool)
+    for a, b in zip(legs, np.roll(legs, -1, axis=0), strict=True):
+        inside &= (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]) >= 0.0
+    return np.column_stack((x, y))[inside]
+
+
 def slope_and_roughness(legs, terrain, spacing=SPACING):
     """Return the steepest slope (rad) of a plane on the legs, and the highest point above one."""
     points = _grid(legs[:, :2].min(axis=0), legs[:, :2].max(axis=0), spacing)

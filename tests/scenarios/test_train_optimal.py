@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
+import sys
 
 import click
 import numpy as np
@@ -54,10 +54,12 @@ def test_missing_extra_and_too_few_shards_are_reported(study, shards, tmp_path, 
     done = CliRunner().invoke(study.main, [str(tmp_path), "--out", str(tmp_path / "w.npz")])
     assert done.exit_code == 2
     assert "two or more shards" in done.output
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    (tmp_path / "torch.py").write_text('raise ModuleNotFoundError("", name="torch")')
+    monkeypatch.delitem(sys.modules, "torch", raising=False)
+    monkeypatch.syspath_prepend(tmp_path)
     done = CliRunner().invoke(study.main, [str(shards), "--out", str(tmp_path / "w.npz")])
     assert done.exit_code == 2
-    assert "Install the extra `rl`" in done.output
+    assert "needs the package torch, which is not installed" in done.output
     assert not (tmp_path / "w.npz").exists()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lunarsim.core.touchdown import samples_between_legs
 from lunarsim.models.lander import Lander
 from lunarsim.vehicle.state import State
 from lunarsim.vehicle.touchdown import (
@@ -74,6 +75,23 @@ def test_unknown_terrain_is_found_by_both():
         assert wanted or not mine, seed
         finer += wanted and not mine
     assert finer <= 3
+
+
+@pytest.mark.parametrize("legs", [3, 4])
+def test_samples_between_legs_are_those_of_a_test_of_every_grid_point(legs):
+    """Bit-identical for random headings, and for edges through grid points."""
+    rng = np.random.default_rng(legs)
+    headings = [*rng.uniform(0.0, 2.0 * np.pi, 60), 0.0, 0.25 * np.pi, 0.5 * np.pi]
+    for heading in headings:
+        angle = heading + 2.0 * np.pi * np.arange(legs) / legs
+        radius, centre = rng.uniform(0.3, 3.0), rng.uniform(-50.0, 50.0, 2)
+        pads = centre + radius * np.column_stack((np.cos(angle), np.sin(angle)))
+        contacts = np.column_stack((pads + rng.uniform(-0.1, 0.1, (legs, 2)), np.zeros(legs)))
+        for corners in (contacts, np.round(contacts, 1)):
+            spacing = float(rng.choice([0.03, TERRAIN_SAMPLE_SPACING_M, 0.1]))
+            wanted = plain.samples_between_legs(corners, spacing)
+            assert len(wanted) > 0
+            assert np.array_equal(samples_between_legs(corners, spacing), wanted)
 
 
 @pytest.mark.parametrize("legs", [3, 4])
