@@ -20,6 +20,7 @@ from bench_parts.closed_loop import flight, frames
 from bench_parts.cold_start import cold_start
 from bench_parts.common import reference_ms
 from bench_parts.environments import envs
+from bench_parts.external import external
 from bench_parts.gaussian_dem import gaussian_dem
 from bench_parts.guidance import guidance
 from bench_parts.interrupts import interrupts
@@ -53,6 +54,7 @@ PARTS: dict[str, Callable[[], None]] = {
         campaign,
         interrupts,
         paths,
+        external,
     )
 }
 

@@ -58,7 +58,14 @@ def scenario_argument(source: Any, changes: Any, default: Scenario) -> Scenario:
         raise InputError(
             "changes", changes, "must be a dictionary by scenario key, such as {'rocks.cover': 0.1}"
         )
-    return with_values(scenario, named, "changes")
+    made = with_values(scenario, named, "changes")
+    if made.computer is not None:
+        raise InputError(
+            "computer.kind", made.computer.kind,
+            "must be omitted, because an environment's agent replaces a part of the onboard "
+            "computer of lunarsim",
+        )  # fmt: skip
+    return made
 
 
 def checked_int(field: str, value: Any, minimum: int) -> int:

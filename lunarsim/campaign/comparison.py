@@ -190,6 +190,11 @@ def compare(
         If the scenario, an argument or the folder is not usable; nothing has been written then.
     """
     check_request(policies, flights, jobs, guidance)
+    if scenario.computer is not None and len(policies) * max(len(guidance), 1) > 1:
+        raise InputError(
+            "computer.kind", scenario.computer.kind,
+            "must be omitted, because it replaces the policies and guidance laws to compare",
+        )  # fmt: skip
     spec = _comparison_spec(scenario, policies, flights, seed, figures, guidance)
     if out is not None and not (out / "manifest.json").exists():
         check_folder(out)

@@ -79,6 +79,7 @@ class Struct:
         self.message = MESSAGES[message]
         self.buffer = np.zeros(1, dtype_of(message)) if buffer is None else buffer
         self.address = address_of(self.buffer)
+        self._bytes, self._empty = self.buffer.view(np.uint8), _empty(message).view(np.uint8)
         self.parts: dict[str, Any] = {}
         self.arrays: dict[str, NDArray[Any]] = {}
         self._views = {f.name: self.buffer[f.name] for f in self.message.fields}
@@ -107,7 +108,7 @@ class Struct:
 
         A number that software does not write is then found.
         """
-        self.buffer[:] = _empty(self.message.name)
+        self._bytes[:] = self._empty
 
     def get(self, name: str) -> Any:
         """Return a number, a text as bytes, or a view of an array of fixed size."""

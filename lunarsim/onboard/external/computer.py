@@ -37,8 +37,9 @@ class _SiteFrame:
 class ExternalComputer:
     """Onboard computer of one flight in external software.
 
-    Attitude control is that of the scenario. Attributes are those of `lunarsim.onboard.computer.OnboardComputer`. There are no maps and
-    candidate sites, and no policy of lunarsim is asked.
+    Attitude control is that of the scenario. Attributes are those of
+    `lunarsim.onboard.computer.OnboardComputer`. There are no maps and candidate sites, and no
+    policy of lunarsim is asked.
 
     Parameters
     ----------
@@ -114,9 +115,9 @@ class ExternalComputer:
         self._check()
         answer = self._answer
         self.estimate = read_estimate(answer.parts["estimate"])
-        site = np.array(answer.get("site"))
-        self.site = site if np.isfinite(site).all() else self.briefing.target
-        self.time_to_go = float(np.nan_to_num(answer.get("time_to_go")))
+        site, left = np.array(answer.get("site")), float(answer.get("time_to_go"))
+        self.site = site if math.isfinite(site.sum()) else self.briefing.target
+        self.time_to_go = left if math.isfinite(left) else 0.0
         was_aborting = self._command.abort
         self._command = Command(
             float(answer.get("thrust")), np.array(answer.get("attitude")), self._tasks(),

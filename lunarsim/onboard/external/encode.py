@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -75,6 +76,9 @@ def write_estimate(out: Struct, e: Estimate) -> None:
 
 def read_estimate(given: Struct) -> Estimate:
     """Return the estimate in a message `Estimate`."""
+    covariance = given.get("covariance").copy()
+    if not math.isfinite(covariance.sum()):
+        covariance[:] = 0.0  # not written
     return Estimate(
         time=float(given.get("time")),
         position=given.get("position").copy(),
@@ -82,7 +86,7 @@ def read_estimate(given: Struct) -> Estimate:
         attitude=given.get("attitude").copy(),
         rate=given.get("rate").copy(),
         mass=float(given.get("mass")),
-        covariance=np.nan_to_num(given.get("covariance")),
+        covariance=covariance,
         lost=bool(given.get("lost")),
     )
 
@@ -159,16 +163,17 @@ class MeasurementWriter:
     def write(self, out: Struct, measurements: Measurements) -> None:
         """Write all measurements of a cycle into a message `Measurements`."""
         out.set(time=measurements.time)
-        by_list: dict[str, list[tuple[str, Any]]] = {name: [] for name in _WRITERS.values()}
+        by_list: dict[str, list[tuple[str, Any]]] = {}
         for sensor, measurement in measurements.items:
             name = _WRITERS.get(type(measurement))
             if name is not None:
-                by_list[name].append((sensor, measurement))
-        for name, found in by_list.items():
-            for element, (sensor, measurement) in zip(
-                out.resize_list(name, len(found)), found, strict=True
-            ):
-                self.write_one(element, sensor, measurement)
+                by_list.setdefault(name, []).append((sensor, measurement))
+        for name in _WRITERS.values():
+            found = by_list.get(name, ())
+            if found or out.parts[name]:
+                elements = out.resize_list(name, len(found))
+                for element, (sensor, measurement) in zip(elements, found, strict=True):
+                    self.write_one(element, sensor, measurement)
 
     def write_one(self, out: Struct, sensor: str, m: Any) -> None:
         """Write one measurement of a sensor into its message."""
