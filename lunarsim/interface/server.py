@@ -78,7 +78,7 @@ mapper, control.
     if kind not in ("unix", "tcp"):
         raise InputError(
             ADDRESS_VARIABLE, address, "must be set by lunarsim, which starts this program",
-            'Name the program in a scenario: kind = "process", program = "FILE".',
+            'Name the program in a scenario: kind = "process", path = "FILE".',
         )  # fmt: skip
     if kind == "unix":
         connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)

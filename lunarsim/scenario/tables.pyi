@@ -548,7 +548,6 @@ class PolicyTable(SelectedPart):
     min_clearance_m: float
     p_safe_min: float
     path: Path | str | None
-    program: Path | str | None
     propellant_weight: float
     start_time_s: float
     transport: Literal["unix", "tcp"]
@@ -565,7 +564,6 @@ class PolicyChanges(TypedDict, total=False):
     min_clearance_m: float
     p_safe_min: float
     path: Path | str | None
-    program: Path | str | None
     propellant_weight: float
     start_time_s: float
     transport: Literal["unix", "tcp"]
@@ -591,7 +589,6 @@ class GuidanceTable(SelectedPart):
     min_time_to_go_s: float
     nodes_per_side: int
     path: Path | str | None
-    program: Path | str | None
     propellant_allowance_kg: float
     propellant_weight: float
     snap_m_s4: float
@@ -621,7 +618,6 @@ class GuidanceChanges(TypedDict, total=False):
     min_time_to_go_s: float
     nodes_per_side: int
     path: Path | str | None
-    program: Path | str | None
     propellant_allowance_kg: float
     propellant_weight: float
     snap_m_s4: float
@@ -643,7 +639,6 @@ class ControlTable(SelectedPart):
     isolated: bool
     path: Path | str | None
     period_s: float
-    program: Path | str | None
     rate_band_deg_s: float
     response_time_s: float
     slew_limit_deg_s: float
@@ -662,7 +657,6 @@ class ControlChanges(TypedDict, total=False):
     isolated: bool
     path: Path | str | None
     period_s: float
-    program: Path | str | None
     rate_band_deg_s: float
     response_time_s: float
     slew_limit_deg_s: float
@@ -694,7 +688,6 @@ class TerminalDescentTable(SelectedPart):
     min_speed_fraction: float
     overshoot_m: float
     path: Path | str | None
-    program: Path | str | None
     speed_gain_per_s: float
     start_time_s: float
     stop_height_m: float
@@ -731,7 +724,6 @@ class TerminalDescentChanges(TypedDict, total=False):
     min_speed_fraction: float
     overshoot_m: float
     path: Path | str | None
-    program: Path | str | None
     speed_gain_per_s: float
     start_time_s: float
     stop_height_m: float
@@ -750,7 +742,6 @@ class ComputerTable(SelectedPart):
     deadline_s: float
     isolated: bool
     path: Path | str | None
-    program: Path | str | None
     start_time_s: float
     transport: Literal["unix", "tcp"]
 
@@ -761,7 +752,6 @@ class ComputerChanges(TypedDict, total=False):
     deadline_s: float
     isolated: bool
     path: Path | str | None
-    program: Path | str | None
     start_time_s: float
     transport: Literal["unix", "tcp"]
 
@@ -967,7 +957,6 @@ class MappersTable(SelectedPart):
     min_hazard_diameter_m: float
     path: Path | str | None
     posting_m: float
-    program: Path | str | None
     safety: Literal["calibrated", "level", "planes"]
     sensor: str
     sensors: tuple[str, ...]
@@ -997,7 +986,6 @@ class MappersChanges(TypedDict, total=False):
     min_hazard_diameter_m: float
     path: Path | str | None
     posting_m: float
-    program: Path | str | None
     safety: Literal["calibrated", "level", "planes"]
     sensor: str
     sensors: tuple[str, ...]

@@ -1,6 +1,6 @@
 """E-guidance of the approach: a guidance law in Python, in another process.
 
-    lunarsim fly golombek --set guidance.kind=process --set guidance.program=e_guidance.py \
+    lunarsim fly golombek --set guidance.kind=process --set guidance.path=e_guidance.py \
         --allow-program e_guidance.py
 
 e_guidance.c is the same law in C; its results are equal to the last bit.

@@ -1,6 +1,6 @@
 """Policy in Python, in another process: the nearest cell that is safe with its neighbours.
 
-    lunarsim fly golombek --set policy.kind=process --set policy.program=nearest_safe.py \
+    lunarsim fly golombek --set policy.kind=process --set policy.path=nearest_safe.py \
         --set policy.configuration=0.9 --allow-program nearest_safe.py
 
 nearest_safe.cpp is the same policy in C++.

@@ -78,8 +78,8 @@ def external() -> None:
             "lunarsim's own law": EGuidanceLaw(),
             "library": LibraryGuidance(path=law, isolated=False),
             "isolated library": LibraryGuidance(path=law),
-            "program in Python": ProcessGuidance(program=program),
-            "program in Python, TCP": ProcessGuidance(program=program, transport="tcp"),
+            "program in Python": ProcessGuidance(path=program),
+            "program in Python, TCP": ProcessGuidance(path=program, transport="tcp"),
         }
         own = 0.0
         for name, part in parts.items():

@@ -33,7 +33,7 @@ def in_library(name: str, **more: Any) -> dict[str, Any]:
 
 def in_process(name: str, **more: Any) -> dict[str, Any]:
     lunarsim.allow_programs(PYTHON[name])
-    return {"kind": "process", "program": str(PYTHON[name]), **more}
+    return {"kind": "process", "path": str(PYTHON[name]), **more}
 
 
 def golombek(**changes: Any) -> Flight:

@@ -38,7 +38,7 @@ def left_over() -> set[str]:
 def program(fault: str, **settings: object) -> Scenario:
     lunarsim.allow_programs(FAULTY)
     return small(
-        guidance={"kind": "process", "program": str(FAULTY), "arguments": [fault], **settings}
+        guidance={"kind": "process", "path": str(FAULTY), "arguments": [fault], **settings}
     )
 
 
@@ -107,7 +107,7 @@ def test_program_that_does_not_start_is_an_input_error(fault, problem):
     before, folders = children(), left_over()
     with pytest.raises(InputError, match=problem) as caught:
         Simulation(program(fault, start_time_s=3.0 if fault != "no-connection" else 0.5), 1)
-    assert caught.value.field == "guidance.program"
+    assert caught.value.field == "guidance.path"
     assert children() == before
     assert left_over() == folders
 

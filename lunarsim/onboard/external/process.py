@@ -77,7 +77,7 @@ class ProcessConnection:
     ) -> None:  # fmt: skip
         self.role, self._deadline, self._program = role, deadline, command[0]
         if not os.access(command[0], os.X_OK):
-            raise InputError("program", command[0], "must be an executable file")
+            raise InputError("path", command[0], "must be an executable file")
         self._request, self._reply = new_message("Request"), new_message("Reply")
         parent = _MEMORY_FOLDER if os.access(_MEMORY_FOLDER, os.W_OK) else None
         folder = Path(tempfile.mkdtemp(prefix="lunarsim-", dir=parent))
@@ -95,7 +95,7 @@ class ProcessConnection:
         except SoftwareFailure as error:
             self.close()
             problem = f"must start and initialise itself: {error.detail}"
-            raise InputError("program", self._program, problem.rstrip(".")) from None
+            raise InputError("path", self._program, problem.rstrip(".")) from None
         except BaseException:
             self.close()
             raise
@@ -129,7 +129,7 @@ class ProcessConnection:
                 )  # fmt: skip
             except OSError as error:
                 raise InputError(
-                    "program", self._program, f"must be an executable file ({error.strerror})"
+                    "path", self._program, f"must be an executable file ({error.strerror})"
                 ) from None
             cleaner.callback(_stop, self.process)
             self._channel = Channel(self._accept(listener, deadline))
@@ -137,7 +137,7 @@ class ProcessConnection:
         self._receive(deadline)
         if self._reply.interface_version != VERSION:
             raise InputError(
-                "program", self._program,
+                "path", self._program,
                 f"must have interface version {VERSION}, not {self._reply.interface_version}",
             )  # fmt: skip
         if not secrets.compare_digest(self._reply.token, token):

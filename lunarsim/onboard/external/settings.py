@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
@@ -51,9 +52,23 @@ def load_software(path: Path, role: str, briefing: Struct) -> Connection:
 
 
 @dataclass(frozen=True)
-class _Software:
-    """Settings that libraries and programs share."""
+class _Software(ABC):
+    """Settings that libraries and programs share.
 
+    Attributes
+    ----------
+    path
+        File of the software.
+    configuration
+        Text for the software.
+    deadline
+        Maximum wall-clock time of an answer, s.
+    """
+
+    path: Path | None = quantity(
+        None, help="shared library (.so), FMU (.fmu), executable file or Python script (.py), "
+        "relative to the scenario file; it must be allowed with --allow-program",
+    )  # fmt: skip
     configuration: str = quantity(
         "", help="text that the software gets in its briefing, at most 1023 bytes"
     )
@@ -62,13 +77,36 @@ class _Software:
         "flight as failed",
     )  # fmt: skip
 
-    def _check(self, name: str, path: Path | None) -> None:
-        """Raise InputError unless the file `path` of the setting `name` may run."""
+    def __post_init__(self) -> None:
         check_bounds(self, "")
-        if path is None:
-            raise InputError(name, None, "is required", "Name a file.", show_value=False)
         checked_text("Briefing", "configuration", self.configuration, "configuration")
-        check_program(name, path)
+        self._allowed_path()
+
+    def _allowed_path(self) -> Path:
+        """Return the file, or raise InputError unless it may run."""
+        if self.path is None:
+            raise InputError("path", None, "is required", "Name a file.", show_value=False)
+        check_program("path", self.path)
+        return self.path
+
+    @abstractmethod
+    def _open(self, path: Path, role: str, briefing: Struct) -> Connection:
+        """Start the software."""
+
+    def connect(self, role: str, briefing: Briefing) -> Connection:
+        """Start the software for one flight; `role` is the part that it replaces.
+
+        Raises
+        ------
+        InputError
+            If the software is unsuitable, not allowed, or does not initialise itself in time.
+        """
+        given, path = new_briefing(briefing, self.configuration), self._allowed_path()
+        try:
+            connection = self._open(path, role, given)
+        except InputError as error:
+            raise InputError("path", str(path), error.problem, error.remedy) from None
+        return with_record(connection, role, given)  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True)
@@ -77,49 +115,19 @@ class LibrarySoftware(_Software):
 
     Attributes
     ----------
-    path
-        File of the library or FMU.
-    configuration
-        Text for the software.
     isolated
         Whether the library runs in another process.
-    deadline
-        Maximum wall-clock time of an answer of an isolated library, s.
     """
 
-    path: Path | None = quantity(
-        None, help="shared library (.so) or FMU (.fmu), relative to the scenario file; it must be "
-        "allowed with --allow-program",
-    )  # fmt: skip
     isolated: bool = quantity(
         True, help="whether the library runs in another process; otherwise it is faster, but "
-        "if it crashes or hangs, lunarsim does too",
+        "if it crashes or hangs, lunarsim does too, and deadline_s has no effect",
     )  # fmt: skip
 
-    def __post_init__(self) -> None:
-        self._check("path", self.path)
-
-    def connect(self, role: str, briefing: Briefing) -> Connection:
-        """Load the library for one flight; `role` is the part that it replaces.
-
-        Raises
-        ------
-        InputError
-            If the library is unsuitable, or its initialisation fails.
-        """
-        assert self.path is not None
-        given = new_briefing(briefing, self.configuration)
-        connection: Connection
-        if self.isolated:
-            try:
-                connection = ProcessConnection(
-                    hosted(self.path, role), role, given, deadline=self.deadline
-                )
-            except InputError as error:
-                raise InputError("path", str(self.path), error.problem, error.remedy) from None
-        else:
-            connection = load_software(self.path, role, given)
-        return with_record(connection, role, given)  # type: ignore[no-any-return]
+    def _open(self, path: Path, role: str, briefing: Struct) -> Connection:
+        if not self.isolated:
+            return load_software(path, role, briefing)
+        return ProcessConnection(hosted(path, role), role, briefing, deadline=self.deadline)
 
 
 @dataclass(frozen=True)
@@ -128,20 +136,14 @@ class ProcessSoftware(_Software):
 
     Attributes
     ----------
-    program, arguments
-        File of the program, and its arguments.
-    configuration
-        Text for the software.
-    deadline, start_time
-        Maximum wall-clock time of an answer, and of start and initialisation, s.
+    arguments
+        Arguments of the program.
+    start_time
+        Maximum wall-clock time of start and initialisation, s.
     transport
         Kind of the socket.
     """
 
-    program: Path | None = quantity(
-        None, help="executable file or Python script (.py), relative to the scenario file; it must "
-        "be allowed with --allow-program",
-    )  # fmt: skip
     arguments: tuple[str, ...] = quantity((), help="arguments of the program")
     start_time: float = quantity(
         20.0, "s", gt=0, le=3600, help="maximum wall-clock time of start and initialisation"
@@ -150,21 +152,8 @@ class ProcessSoftware(_Software):
         "unix", help="socket of the connection: Unix, or TCP on the loopback interface"
     )
 
-    def __post_init__(self) -> None:
-        self._check("program", self.program)
-
-    def connect(self, role: str, briefing: Briefing) -> Connection:
-        """Start the program for one flight; `role` is the part that it replaces.
-
-        Raises
-        ------
-        InputError
-            If the program cannot be started, or does not initialise itself in time.
-        """
-        assert self.program is not None
-        given = new_briefing(briefing, self.configuration)
-        connection = ProcessConnection(
-            program_arguments(self.program, self.arguments), role, given,
-            start_time=self.start_time, deadline=self.deadline, transport=self.transport,
+    def _open(self, path: Path, role: str, briefing: Struct) -> Connection:
+        return ProcessConnection(
+            program_arguments(path, self.arguments), role, briefing, start_time=self.start_time,
+            deadline=self.deadline, transport=self.transport,
         )  # fmt: skip
-        return with_record(connection, role, given)  # type: ignore[no-any-return]
