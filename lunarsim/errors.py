@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import difflib
 import reprlib
-import sys
 import tempfile
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import fields
 from numbers import Integral, Real
 from pathlib import Path
@@ -90,25 +88,6 @@ of lunarsim: `pip install ".[sensitivity]"` in its clone.
         f'Install the extra `{extra}` of lunarsim: `pip install ".[{extra}]"` in its clone.',
         show_value=False,
     )  # fmt: skip
-
-
-@contextmanager
-def imports_of_extra(extra: str) -> Iterator[None]:
-    """End a script with exit code 2 if an import of an optional package fails.
-
-    The message has one line.
-
-    Parameters
-    ----------
-    extra
-        Extra of lunarsim that contains the packages.
-    """
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        script = Path(sys.argv[0]).name
-        print(missing_package(script, str(error.name), extra), file=sys.stderr)
-        raise SystemExit(2) from None
 
 
 def check_types(prefix: str, settings: object) -> None:

@@ -261,6 +261,14 @@ OWN = {
         (["wrong.toml", "--json", "new.json"], ["sun.elevation_deg: ", "got 95.0"]),
         ([], ["SCENARIO", "vehicle check --help"]),
     ],
+    "interface header": [(["law.h"], ["unexpected extra argument", "law.h"])],
+    "interface proto": [(["law.proto"], ["unexpected extra argument", "law.proto"])],
+    "interface replay": [
+        (["gone", "law.so"], ["record: ", "got 'gone'"]),
+        (["wrong.toml", "law.so"], ["record: ", "got 'wrong.toml'"]),
+        (["gone"], ["SOFTWARE"]),
+        (["gone", "law.so", "--deadline", "0"], ["--deadline", "0"]),
+    ],
 }  # fmt: skip
 # The second choice, which the first flight does not draw, is no whole raster.
 DRAWN = """

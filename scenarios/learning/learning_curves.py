@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 from scipy.stats import t as student
 
-from lunarsim.errors import missing_package
+from lunarsim import InputError
 from lunarsim.studies import Case, Report, Study, run_script
 from lunarsim.viz.style import COLOURS, new_figure, save
 from lunarsim_envs.training.settings import SETTINGS, PpoSettings
@@ -42,7 +42,10 @@ def train(case: Case) -> Rows:
     try:
         import sb3_contrib
     except ModuleNotFoundError as error:
-        raise missing_package("learning_curves.py", str(error.name), "rl") from None
+        raise InputError(
+            "learning_curves", None, f"needs the package {error.name}, which is not installed",
+            "Install the extra `rl`.", show_value=False,
+        ) from None  # fmt: skip
     assert sb3_contrib.__name__
     rows: Rows = []
 

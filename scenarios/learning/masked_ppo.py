@@ -18,8 +18,9 @@ import click
 import gymnasium
 
 from lunarsim import InputError
-from lunarsim.errors import check_output, imports_of_extra
+from lunarsim.errors import check_output
 from lunarsim_envs.training.held_out import HeldOutResult, evaluate_held_out
+from lunarsim_envs.training.optional_packages import imports_of_extra
 
 with imports_of_extra("rl"):
     import torch

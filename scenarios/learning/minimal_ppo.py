@@ -10,7 +10,7 @@ import sys
 
 import gymnasium
 
-from lunarsim.errors import imports_of_extra
+from lunarsim_envs.training.optional_packages import imports_of_extra
 
 with imports_of_extra("rl"):
     import torch

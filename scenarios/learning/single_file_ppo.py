@@ -18,7 +18,8 @@ import gymnasium
 import numpy as np
 
 from lunarsim import InputError
-from lunarsim.errors import check_output, imports_of_extra
+from lunarsim.errors import check_output
+from lunarsim_envs.training.optional_packages import imports_of_extra
 
 with imports_of_extra("rl"):
     import onnxscript  # noqa: F401  (torch.onnx needs it)

@@ -22,8 +22,8 @@ from rich.console import Console
 
 from lunarsim import InputError
 from lunarsim.console import plain_console
-from lunarsim.errors import imports_of_extra
 from lunarsim_envs.training.held_out import HeldOutResult
+from lunarsim_envs.training.optional_packages import imports_of_extra
 from lunarsim_envs.training.settings import SETTINGS, PpoSettings
 
 # Reference agents of the final comparison on held-out seeds.

@@ -25,7 +25,7 @@ from rich.console import Console
 from lunarsim import InputError, Scenario
 from lunarsim.atomic_files import atomic_write_text
 from lunarsim.console import plain_console
-from lunarsim.errors import check_output, imports_of_extra
+from lunarsim.errors import check_output
 from lunarsim.onboard.guidance.neural_law import NeuralOptimalLaw
 from lunarsim.onboard.guidance.optimal_network import (
     DEFAULT_NETWORK_PATH,
@@ -34,6 +34,7 @@ from lunarsim.onboard.guidance.optimal_network import (
     OptimalNetwork,
     reduce_state,
 )
+from lunarsim_envs.training.optional_packages import imports_of_extra
 
 Array = NDArray[np.float64]
 

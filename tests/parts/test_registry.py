@@ -48,7 +48,7 @@ def test_names_and_paths_give_classes():
     ("kind", "says"),
     [
         ("safset", "Did you mean 'safest'?"),
-        ("x", "Known names: fuel-aware, nearest-safe"),
+        ("x", "Known names: fuel-aware, library, nearest-safe"),
         ("no.such.module:Thing", "Python reports ModuleNotFoundError: No module named 'no'"),
         (f"{__name__}:Missing", "Python reports AttributeError"),
         (f"{__name__}:NoDataclass", "must name a dataclass"),

@@ -81,7 +81,7 @@ def test_relative_paths_start_from_the_files_folder(tmp_path):
         ({"start": {"position_m": [0.0, 1.0, "2"]}}, "start.position_m[2]", "Delete the quotes."),
         ({"terrain": {"kind": "dtm", "path": "x", "dtm_window": [1]}}, "terrain.dtm_window", "4"),
         ({"policy": "safest"}, "policy", 'a table [policy] with kind = "safest"'),
-        ({"control": {"kind": "magic"}}, "control.kind", "Known names: ideal, pd"),
+        ({"control": {"kind": "magic"}}, "control.kind", "Known names: fmu, ideal, library, pd"),
         ({"decisions": {"last_altitude_m": 900.0}}, "decisions.last_altitude_m", "less than"),
         ({"gravity_m_s2": -1.6}, "gravity_m_s2", "a positive number below 1000"),
         ({"gravity_m_s2": True}, "gravity_m_s2", "a positive number below 1000"),
