@@ -40,7 +40,7 @@ def test_a_missing_package_is_reported_in_one_line(
         runpy.run_path(str(FOLDER / f"{script}.py"), run_name="__main__")
     assert end.value.code == 2
     message = capsys.readouterr().err.strip()
-    assert f"{script}.py: needs the package {package}, which is not installed" in message
+    assert message.count(script) and f"needs the package {package}, which is not" in message
     assert "Install the extra `rl`" in message and "Traceback" not in message
     assert not (tmp_path / "agents").exists()
 
