@@ -86,14 +86,14 @@ def external() -> None:
             built = part.build(briefing, 0.5)
             spent = _median_us(lambda law=built: law.command(seen, end, 1.0, 20.0))
             own = own or spent
-            print(f"guidance, {name}: {spent:.1f} us a call, {spent / own:.2f} of its own law")
+            print(f"guidance, {name}: {spent:.1f} us a call, {spent / own:.2f} of that of lunarsim")
             if hasattr(built, "close"):
                 built.close()
         for isolated in (False, True):
             built = LibraryComputer(path=computer, isolated=isolated).build(briefing)
             spent = _median_us(lambda c=built: c.update(inputs))
             where = "isolated library" if isolated else "library"
-            print(f"computer, {where}: {spent:.1f} us a cycle, {spent / own:.2f} of the law")
+            print(f"computer, {where}: {spent:.1f} us a cycle, {spent / own:.2f} of a law of lunarsim")
             built.close()
         _time_image(computer, briefing)
 
