@@ -8,8 +8,9 @@ from pathlib import Path
 
 import click
 
+from lunarsim.atomic_files import atomic_write_text
 from lunarsim.cli_common import PATH, ErrorReportingGroup, FloatRange
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, check_output
 
 
 @click.group(cls=ErrorReportingGroup)
@@ -18,27 +19,37 @@ def interface() -> None:
 
     \b
     Example:
-      lunarsim interface header > lunarsim.h
+      lunarsim interface header --out lunarsim.h
     """  # noqa: D301  (click wants the character itself)
 
 
-def _print(name: str) -> None:
-    """Print a text file of the interface."""
-    click.echo(
-        resources.files("lunarsim.interface").joinpath(name).read_text(encoding="utf-8"), nl=False
-    )
+_OUT = click.option(
+    "--out", type=PATH, default=None, show_default="standard output", help="File to write."
+)
+
+
+def _write(name: str, out: Path | None) -> None:
+    """Write a text file of the interface to `out`, or print it."""
+    text = resources.files("lunarsim.interface").joinpath(name).read_text(encoding="utf-8")
+    if out is None:
+        click.echo(text, nl=False)
+        return
+    check_output("--out", out, Path(name).suffix)
+    atomic_write_text(out, text)
 
 
 @interface.command()
-def header() -> None:
+@_OUT
+def header(out: Path | None) -> None:
     """Print the C header of the interface."""
-    _print("lunarsim.h")
+    _write("lunarsim.h", out)
 
 
 @interface.command()
-def proto() -> None:
+@_OUT
+def proto(out: Path | None) -> None:
     """Print the Protobuf schema for programs."""
-    _print("lunarsim.proto")
+    _write("lunarsim.proto", out)
 
 
 @interface.command("replay")

@@ -22,11 +22,11 @@ import gymnasium
 import numpy as np
 from click.testing import CliRunner
 from gymnasium.envs.registration import load_env_creator
-from interface_page import interface_page
 from PIL import Image
 
 import lunarsim_envs
 from lunarsim.cli import main as lunarsim_command
+from lunarsim.interface.document import interface_page
 from lunarsim.interface.header import header
 from lunarsim.interface.protobuf import schema_text
 from lunarsim.scenario.reference import reference_text

@@ -261,8 +261,14 @@ OWN = {
         (["wrong.toml", "--json", "new.json"], ["sun.elevation_deg: ", "got 95.0"]),
         ([], ["SCENARIO", "vehicle check --help"]),
     ],
-    "interface header": [(["law.h"], ["unexpected extra argument", "law.h"])],
-    "interface proto": [(["law.proto"], ["unexpected extra argument", "law.proto"])],
+    "interface header": [
+        (["law.h"], ["unexpected extra argument", "law.h"]),
+        (["--out", "law.txt"], ["--out: ", "got 'law.txt'", ".h"]),
+    ],
+    "interface proto": [
+        (["law.proto"], ["unexpected extra argument", "law.proto"]),
+        (["--out", "none/law.proto"], ["--out: ", "existing folder"]),
+    ],
     "interface replay": [
         (["gone", "law.so"], ["record: ", "got 'gone'"]),
         (["wrong.toml", "law.so"], ["record: ", "got 'wrong.toml'"]),

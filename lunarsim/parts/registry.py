@@ -42,6 +42,8 @@ class Contract:
     required_members: tuple[str, ...]
 
 
+# Kinds of external software; each needs a file.
+EXTERNAL_KINDS = ("library", "fmu", "process")
 # Field names that the settings tables use themselves.
 RESERVED = {"kind", "make", "model_config", "copy", "json", "dict"}
 
@@ -198,11 +200,11 @@ CONTRACTS: dict[str, Contract] = {
 }
 
 
-def kinds(contract: str) -> dict[str, str]:
+def kinds(contract: str, *, with_external: bool = True) -> dict[str, str]:
     """Return the registered components of a category: name to "module:Class".
 
     `contract` is a key of `CONTRACTS`, such as "policy". Components of other installed packages
-    are included.
+    are included. `with_external` states whether external software is included, which needs a file.
 
     Raises
     ------
@@ -224,7 +226,7 @@ def kinds(contract: str) -> dict[str, str]:
                 f"Give {point.value} another entry-point name: {found[point.name]} has this one.",
             )
         found[point.name] = point.value
-    return found
+    return found if with_external else {k: v for k, v in found.items() if k not in EXTERNAL_KINDS}
 
 
 @cache

@@ -100,8 +100,9 @@ study = Study(
     count=1,
     options=(
         click.Option(
-            ["--law"], type=click.Choice(list(kinds("guidance"))), default="apollo",
-            show_default=True, help="Guidance law whose reachable landing area is plotted.",
+            ["--law"], type=click.Choice(list(kinds("guidance", with_external=False))),
+            default="apollo", show_default=True,
+            help="Guidance law whose reachable landing area is plotted.",
         ),
         click.Option(
             ["--height"], type=click.FloatRange(20.0, 1000.0), multiple=True,

@@ -93,7 +93,9 @@ def external() -> None:
             built = LibraryComputer(path=computer, isolated=isolated).build(briefing)
             spent = _median_us(lambda c=built: c.update(inputs))
             where = "isolated library" if isolated else "library"
-            print(f"computer, {where}: {spent:.1f} us a cycle, {spent / own:.2f} of a law of lunarsim")
+            print(
+                f"computer, {where}: {spent:.1f} us a cycle, {spent / own:.2f} of a law of lunarsim"
+            )
             built.close()
         _time_image(computer, briefing)
 

@@ -16,7 +16,11 @@ from lunarsim.simulation import Simulation
 from lunarsim.world.terrain import Heightfield
 from lunarsim.world.terrain_models.interface import add_rocks
 
-LAWS = [kind for kind in kinds("guidance") if kind not in {"neural-optimal", "information-seeking"}]
+LAWS = [
+    kind
+    for kind in kinds("guidance", with_external=False)
+    if kind not in {"neural-optimal", "information-seeking"}
+]
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,11 @@ G = 1.622
 UP = np.array([0.0, 0.0, G])
 APART = {"optimal", "neural-optimal", "information-seeking"}  # these have tests of their own
 LAWS = [
-    *(resolve("guidance", kind)() for kind in kinds("guidance") if kind not in APART),
+    *(
+        resolve("guidance", kind)()
+        for kind in kinds("guidance", with_external=False)
+        if kind not in APART
+    ),
     AugmentedApolloLaw(gain=14.0), FractionalPolynomialLaw(gamma=0.2, gain=5.0),
 ]  # fmt: skip
 BRIEFING = SimpleNamespace(surface_gravity=G, nonuniform_gravity=None)

@@ -1,5 +1,5 @@
 # ruff: noqa: E501  (tables)
-"""Write the interface control document: docs/reference/interface.md."""
+"""Generate the interface control document: docs/reference/interface.md."""
 
 from __future__ import annotations
 
