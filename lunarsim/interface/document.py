@@ -122,6 +122,6 @@ def interface_page() -> str:
         text += f"\n### {message.name}\n\n{message.doc}\n\n"
         text += "| field | type | size | unit | frame | meaning |\n" + "| --- " * 6 + "|\n"
         for f in message.fields:
-            cells = (f"`{f.name}`", f.type, _size(f), f.unit, f.frame, f.doc)
-            text += f"| {' | '.join(cells)} |\n"
+            row = (f"`{f.name}`", f.type, _size(f), f.unit, f.frame, f.doc)
+            text += f"| {' | '.join(row)} |\n"
     return text
