@@ -34,6 +34,8 @@ from lunarsim.onboard.external.failure import SoftwareFailure
 
 # Time that a program has to end after its connection is closed, s.
 _END_TIME_S = 1.0
+# Maximum length of the description of an error in a flight record.
+_MAX_ERROR_CHARACTERS = 500
 # Folder of sockets and shared memory, where the system has one in memory.
 _MEMORY_FOLDER = Path("/dev/shm")
 
@@ -140,7 +142,7 @@ class ProcessConnection:
                 "path", self._program,
                 f"must have interface version {VERSION}, not {self._reply.interface_version}",
             )  # fmt: skip
-        if not secrets.compare_digest(self._reply.token, token):
+        if not secrets.compare_digest(self._reply.token.encode(), token.encode()):
             raise self._failure("protocol", f"the first reply lacks the value of {TOKEN_VARIABLE}")
 
     def _accept(self, listener: socket.socket, deadline: float) -> socket.socket:
@@ -201,7 +203,7 @@ class ProcessConnection:
             raise self._failure("timeout", "the program does not read its messages") from None
         self._receive(deadline)
         if self._reply.error:
-            raise self._failure("error", self._reply.error)
+            raise self._failure("error", self._reply.error[:_MAX_ERROR_CHARACTERS])
 
     def _receive(self, deadline: float) -> None:
         self._reply.Clear()
@@ -225,7 +227,10 @@ class ProcessConnection:
             code = self.process.wait(_END_TIME_S)
         except subprocess.TimeoutExpired:
             return self._failure("protocol", "the program has closed the connection")
-        how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+        how = f"exit code {code}"
+        if code < 0:
+            names = {one.value: one.name for one in signal.Signals}
+            how = f"signal {names.get(-code, -code)}"
         return self._failure("died", f"the program ended with {how}")
 
     def close(self) -> None:
