@@ -128,6 +128,8 @@ def fly(
             simulation.truth.is_safe_at(simulation.site[:2])
     if pacer is not None:
         click.echo(str(pacer), err=True)
+    if messages is not None and not messages.exists():
+        click.echo(f"warning: {messages}: no external software was called", err=True)
     if out is not None:
         # Save before printing: the reader of a pipe may close it early.
         remove = new_contents_remover(out)

@@ -155,7 +155,7 @@ def check_first_flights(spec: CampaignSpec) -> None:
         key = tables_as_text(scenario, GROUND_TABLES)
         world = build_world(scenario, RandomStreams(seed), grounds.get(key))
         grounds = {key: world.terrain}
-        Simulation(scenario, seed, arm.policy or scenario.policy.kind, world=world)
+        Simulation(scenario, seed, arm.policy or scenario.policy.kind, world=world).close()
 
 
 def check_files(spec: CampaignSpec) -> None:

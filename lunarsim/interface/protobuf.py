@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Any, Protocol
 
+import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from numpy.typing import NDArray
 
@@ -169,6 +170,8 @@ def to_protobuf(struct: Struct, message: Any, memory: Memory) -> None:
 def from_protobuf(message: Any, struct: Struct, memory: Memory) -> None:
     """Copy a Protobuf message into a structure; its large arrays remain in `memory`.
 
+    An array of fixed size that the message lacks becomes NaN.
+
     Raises
     ------
     SizeError
@@ -180,6 +183,9 @@ def from_protobuf(message: Any, struct: Struct, memory: Memory) -> None:
             struct.set(**{f.name: value})
         elif kind == "array":
             flat = struct.flat[f.name]
+            if len(value) == 0:
+                flat[:] = np.nan
+                continue
             if len(value) != flat.size:
                 raise SizeError(f"{f.name} must have {flat.size} elements, but has {len(value)}")
             flat[:] = value[:]

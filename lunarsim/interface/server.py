@@ -39,6 +39,8 @@ class Software(Protocol):
     def step(self, given: Struct, answer: Struct) -> None:
         """Compute the answer to one call.
 
+        A method `close`, if there is one, is called at the end of the flight.
+
         Parameters
         ----------
         given, answer
@@ -115,6 +117,16 @@ def _answer_calls(channel: Channel, roles: dict[str, Callable[[Struct], Software
         except Exception as error:  # the software can raise anything
             reply.error = _description(error)
     channel.send(reply)
+    try:
+        _answer_steps(channel, role, software, memory)
+    finally:
+        if hasattr(software, "close"):
+            software.close()
+
+
+def _answer_steps(channel: Channel, role: str, software: Any, memory: SharedArrays) -> None:
+    """Answer the calls of a role until lunarsim closes the connection."""
+    request, reply = new_message("Request"), new_message("Reply")
     given, answer = Struct(ROLES[role].input), Struct(ROLES[role].output)
     while True:
         request.Clear()
@@ -134,4 +146,6 @@ def _answer_calls(channel: Channel, roles: dict[str, Callable[[Struct], Software
 def _description(error: Exception) -> str:
     if isinstance(error, InputError):
         return f"{error.problem}. {error.remedy}".strip()
+    if hasattr(error, "detail"):  # a failure of a library
+        return str(error.detail)
     return f"{type(error).__name__}: {error}".partition("\n")[0][:500]

@@ -89,6 +89,7 @@ class Struct:
             if f.shape and not f.is_message and f.type != "text"
         }
         self._lists: dict[str, list[Struct]] = {}
+        self._kinds = {f.name: NUMBERS[f.type] for f in self.message.fields if f.is_block}
         for f in self.message.fields:
             view = self._views[f.name]
             if f.is_list:
@@ -115,9 +116,9 @@ class Struct:
         return self._views[name][0]
 
     def attach(self, **arrays: NDArray[Any]) -> None:
-        """Set arrays of variable size; they are not copied if they are contiguous."""
+        """Set arrays of variable size; contiguous ones of the right type are not copied."""
         for name, given in arrays.items():
-            array = self.arrays[name] = np.ascontiguousarray(given)
+            array = self.arrays[name] = np.ascontiguousarray(given, self._kinds[name])
             self._views[name][0] = address_of(array)
 
     def resize_list(self, name: str, count: int) -> list[Struct]:

@@ -27,7 +27,11 @@ def check_program(field: str, path: Path) -> None:
 
     `field` is the setting that names the file.
     """
-    if path.resolve() not in allowed_programs():
+    try:
+        resolved = path.resolve()
+    except (OSError, RuntimeError) as error:
+        raise InputError(field, str(path), f"must be a valid path ({error})") from None
+    if resolved not in allowed_programs():
         raise InputError(
             field, str(path), "must name an allowed program, because lunarsim runs its code",
             f"If you trust it, add --allow-program {path} (in Python: allow_programs).",
@@ -55,7 +59,7 @@ def allow_programs(*paths: str | Path) -> None:
     for path in paths:
         try:
             added.append(str(Path(path).resolve()))
-        except (TypeError, ValueError, OSError) as error:
+        except (TypeError, ValueError, OSError, RuntimeError) as error:
             raise InputError("allow_programs", path, f"must be a path ({error})") from None
         if os.pathsep in added[-1]:
             raise InputError("allow_programs", str(path), f"must not contain {os.pathsep!r}")

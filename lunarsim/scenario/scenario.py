@@ -437,7 +437,7 @@ def _absolute_path(field: str, path: Path, folder: Path | None) -> Path:
     """
     try:
         return ((Path.cwd() if folder is None else folder) / path).resolve()
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, RuntimeError) as error:
         raise InputError(field, str(path), f"must be a valid path ({error})") from None
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lunarsim.messages.commands import Command
+from lunarsim.messages.commands import Command, SensorTask
 from lunarsim.scenario.mission import CommandDelay
 
 # Tolerance for a delay that is a multiple of the integration step, in steps.
@@ -33,6 +33,13 @@ class Stopwatch:
 
     def __exit__(self, *_: object) -> None:
         self.seconds += time.perf_counter() - self._start
+
+
+def _with_tasks(command: Command, earlier: tuple[SensorTask, ...]) -> Command:
+    """Return a command with earlier measurement tasks for sensors that it does not task."""
+    sensors = {task.sensor for task in command.tasks}
+    added = tuple(task for task in earlier if task.sensor not in sensors)
+    return replace(command, tasks=added + command.tasks) if added else command
 
 
 class CommandQueue:
@@ -63,7 +70,8 @@ class CommandQueue:
     ) -> tuple[Command, list[tuple[int, Command]]]:
         """Add the command of a cycle; return what is active in it.
 
-        A command that would take effect after a newer one is dropped.
+        A command that would take effect after a newer one is dropped; its measurement tasks are
+        done with the newer one.
 
         Parameters
         ----------
@@ -82,6 +90,8 @@ class CommandQueue:
             Commands that replace it, each after a number of steps of the cycle.
         """
         due, before = self._now + self._delay_steps(computing_time), self._active
+        for _, dropped in (one for one in self._waiting if one[0] >= due):
+            command = _with_tasks(command, dropped.tasks)
         self._waiting = [one for one in self._waiting if one[0] < due] + [(due, command)]
         while self._waiting and self._waiting[0][0] <= self._now:
             self._active = self._waiting.pop(0)[1]
@@ -90,9 +100,11 @@ class CommandQueue:
             active = replace(active, tasks=())  # made in an earlier cycle
         self._now += steps
         changes = []
+        tasks = active.tasks
         while self._waiting and self._waiting[0][0] < self._now:
             due, self._active = self._waiting.pop(0)
-            changes.append((due - start, self._active))
+            tasks = _with_tasks(self._active, tasks).tasks
+            changes.append((due - start, replace(self._active, tasks=tasks)))
         return active, changes
 
     def _delay_steps(self, computing_time: float) -> int:

@@ -54,12 +54,15 @@ def fly_cycle(
     ends = [start for start, _ in changes] + [plant.steps]
     flown: list[tuple[Array, Array, Array]] = []
     state = plant.state
+    # Errors of the gyroscopes, drawn once per cycle so that they do not depend on the changes.
+    gyros = next(iter(plant.imus.values())).gyroscopes if loop.law.torques else None
+    offsets = np.zeros((0, 3)) if gyros is None else gyros.offsets(plant.steps)
     for (start, given), end in zip(starts, ends, strict=True):
         active = plant.apply_throttle_faults(given)
         if start > 0:
             state = State.from_vector(flown[-1][0][-1])
             loop.set_command(active)
-        flown.append(_fly(plant, loop, state, active, end - start))
+        flown.append(_fly(plant, loop, state, active, end - start, offsets[start:end]))
     history, increments, torques = (
         flown[0] if len(flown) == 1 else map(np.concatenate, zip(*flown, strict=True))
     )
@@ -70,9 +73,11 @@ def fly_cycle(
 
 
 def _fly(
-    plant: Plant, loop: AttitudeLoop, state: State, command: Command, steps: int
+    plant: Plant, loop: AttitudeLoop, state: State, command: Command, steps: int, offsets: Array
 ) -> tuple[Array, Array, Array]:
     """Simulate a number of integration steps from a state under a command.
+
+    `offsets` (n, 3) are the errors of the gyroscopes, rad.
 
     Return states (n, 15), gyroscope increments (n, 3), rad, and torques (n, 3), N m; the last two
     are empty with ideal attitude control.
@@ -89,20 +94,19 @@ def _fly(
         if loop.compiled
         else _fly_in_python
     )
-    return fly(plant, loop, imu, state, command.thrust, steps)
+    return fly(plant, loop, imu, state, command.thrust, offsets)
 
 
 def _fly_compiled(
-    plant: Plant, loop: AttitudeLoop, imu: Imu, state: State, thrust: float, steps: int
+    plant: Plant, loop: AttitudeLoop, imu: Imu, state: State, thrust: float, offsets: Array
 ) -> tuple[Array, Array, Array]:
     """Simulate integration steps of a lander without thrusters in a compiled function.
 
     The results are those of `_fly_stepwise`.
     """
     d, gyros = plant.dynamics, imu.gyroscopes
-    offsets = gyros.offsets(steps)  # also sets the matrix of these samples
     history, increments, torques = k.fly_cycle_steps(
-        state.as_vector(), steps, d.step, d.thrust(thrust), d.params, d.inertia,
+        state.as_vector(), len(offsets), d.step, d.thrust(thrust), d.params, d.inertia,
         d.plain_rig, loop.state, loop.target, loop.gains, loop.inertia, loop.torque_max,
         d.lander.torque_scale, gyros.matrix, offsets, gyros.errors.quantum, gyros.remainder,
     )  # fmt: skip
@@ -110,7 +114,7 @@ def _fly_compiled(
 
 
 def _fly_with_actuators(
-    plant: Plant, loop: AttitudeLoop, imu: Imu, state: State, thrust: float, steps: int
+    plant: Plant, loop: AttitudeLoop, imu: Imu, state: State, thrust: float, offsets: Array
 ) -> tuple[Array, Array, Array]:
     """Simulate integration steps of a lander with thrusters, gimbal and throttle.
 
@@ -129,11 +133,11 @@ def _fly_with_actuators(
             actuators.command(loop.on_times, loop.gimbal)
         return actuators.advance(plant.dynamics, state, throttle), torque
 
-    return _fly_stepwise(loop, imu, state, steps, advance)
+    return _fly_stepwise(loop, imu, state, offsets, advance)
 
 
 def _fly_in_python(
-    plant: Plant, loop: AttitudeLoop, imu: Imu, state: State, thrust: float, steps: int
+    plant: Plant, loop: AttitudeLoop, imu: Imu, state: State, thrust: float, offsets: Array
 ) -> tuple[Array, Array, Array]:
     """Simulate integration steps of a lander without thrusters in Python.
 
@@ -144,14 +148,14 @@ def _fly_in_python(
         torque = loop.torque()
         return plant.dynamics.advance(state, thrust, torque), torque
 
-    return _fly_stepwise(loop, imu, state, steps, advance)
+    return _fly_stepwise(loop, imu, state, offsets, advance)
 
 
 def _fly_stepwise(
     loop: AttitudeLoop,
     imu: Imu,
     state: State,
-    steps: int,
+    offsets: Array,
     advance: Callable[[State], tuple[State, Array]],
 ) -> tuple[Array, Array, Array]:
     """Simulate a number of integration steps in Python.
@@ -160,7 +164,7 @@ def _fly_stepwise(
     states (n, 15), gyroscope increments (n, 3), rad, and torques (n, 3), N m.
     """
     gyros = imu.gyroscopes
-    offsets = gyros.offsets(steps)
+    steps = len(offsets)
     history = np.empty((steps, 15))
     increments = np.empty((steps, 3))
     torques = np.empty((steps, 3))

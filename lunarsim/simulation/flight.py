@@ -252,6 +252,11 @@ class Flight:
             (f"map {name!r}", words)
             for name, words in map_remarks_by_mapper(self.maps, self.decision_mapper).items()
         ]
+        facts += [
+            ("software", f"{e['role']}: {e['reason']}: {e['detail']}")
+            for e in self.events
+            if e["name"] == "software-failed"
+        ]
         touchdown = self.outcome.touchdown
         if touchdown is not None:
             x, y = touchdown.position[:2]

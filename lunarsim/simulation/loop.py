@@ -331,7 +331,8 @@ class Simulation:
         try:
             yield
         except SoftwareFailure as failure:
-            self.plant.outcome = LandingOutcome(False, (SOFTWARE_FAILED,), None)
+            if self.plant.outcome is None:
+                self.plant.outcome = LandingOutcome(False, (SOFTWARE_FAILED,), None)
             details = {"role": failure.role, "reason": failure.reason, "detail": failure.detail}
             self.computer.telemetry.append((self.time, SOFTWARE_FAILED, details))
             self.computer.close()
@@ -411,6 +412,10 @@ class Simulation:
             if pacer is not None:
                 pacer.wait()
         return self.flight()
+
+    def close(self) -> None:
+        """End external software of a flight that is not flown to its end."""
+        self.computer.close()
 
     def flight(self) -> Flight:
         """Return the record of the flight up to now."""

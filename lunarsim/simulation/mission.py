@@ -14,7 +14,7 @@ from lunarsim.frames import attitude_from_thrust, quat_from_rotation_vector, qua
 from lunarsim.messages.briefing import Briefing, FlightSoftware, InitialStateEstimate
 from lunarsim.models.gravity import UniformGravity
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.component_errors import checked_command, prefix_input_errors
+from lunarsim.onboard.component_errors import checked_command
 from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.navigation.estimate import Estimate
@@ -152,16 +152,15 @@ def trimmed_start_state(state: State, briefing: Briefing) -> State:
     software, lander = briefing.software, briefing.lander
     braking = software.braking
     part = software.guidance if braking is None else braking.law_settings()
-    with prefix_input_errors("guidance" if braking is None else "braking"):
-        law = part.build(briefing, software.control.response_time + lander.thrust_lag)
+    # External software is started only for the flight.
+    build = getattr(part, "start_law", part.build)
+    law = build(briefing, software.control.response_time + lander.thrust_lag)
     end = (
         software.approach.end(briefing.target, lander)
         if braking is None
         else braking.end(briefing.target)
     )
     wanted = law.command(_as_estimate(state), end, 0.0, briefing.time_to_go)
-    if hasattr(law, "close"):
-        law.close()
     if braking is not None:
         command = braking.build_command(wanted, state.mass, lander, briefing.heading, 0.0)
     else:

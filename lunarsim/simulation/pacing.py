@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
+from lunarsim.errors import InputError
+
 
 @dataclass
 class Pacer:
@@ -21,6 +23,11 @@ class Pacer:
         wall-clock time.
     longest, total
         Maximum and sum of the computing times of a cycle, s.
+
+    Raises
+    ------
+    InputError
+        If the rate is not positive and finite.
     """
 
     rate: float
@@ -31,6 +38,10 @@ class Pacer:
     total: float = 0.0
     _last: float | None = None
     _due: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.rate < float("inf"):
+            raise InputError("--pace", self.rate, "must be positive and finite")
 
     def wait(self) -> None:
         """Wait for the end of a control cycle that has been computed.

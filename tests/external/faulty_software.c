@@ -4,6 +4,7 @@
 
 #include <math.h>
 #include <signal.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
@@ -13,7 +14,7 @@
 #endif
 
 typedef struct {
-    char fault[64];
+    char fault[512];
     int calls;
     double gravity;
 } State;
@@ -33,13 +34,12 @@ int lunarsim_guidance_step(void *state, const LunarsimGuidanceInput *input,
                            LunarsimGuidanceOutput *output)
 {
     State *s = state;
-    (void)input;
-    output->acceleration[0] = output->acceleration[1] = 0.0;
-    output->acceleration[2] = s->gravity;
-    if (s->calls++ < 20) {
+    if (s->calls++ < (strstr(s->fault, "at once") ? 0 : 20)) {
+        output->acceleration[0] = output->acceleration[1] = 0.0;
+        output->acceleration[2] = s->gravity;
         return 0;
     }
-    if (strcmp(s->fault, "crash") == 0) {
+    if (strncmp(s->fault, "crash", 5) == 0) {
         raise(SIGSEGV);
     }
     if (strcmp(s->fault, "abort") == 0) {
@@ -53,10 +53,23 @@ int lunarsim_guidance_step(void *state, const LunarsimGuidanceInput *input,
             sleep(1);
         }
     }
-    if (strcmp(s->fault, "nan") == 0) {
-        output->acceleration[1] = NAN;
+    if (strcmp(s->fault, "silent") == 0) {
+        output->acceleration[0] = input->estimate.mass;
+        return 0;
     }
+    output->acceleration[0] = output->acceleration[2] = 0.0;
+    output->acceleration[1] = strcmp(s->fault, "nan") == 0 ? NAN : 0.0;
     return strcmp(s->fault, "error") == 0 ? 5 : 0;
 }
 
-void lunarsim_guidance_close(void *state) { free(state); }
+/* Leave a file if the configuration is "close FILE". */
+void lunarsim_guidance_close(void *state)
+{
+    State *s = state;
+    if (strncmp(s->fault, "close ", 6) == 0) {
+        FILE *file = fopen(s->fault + 6, "a");
+        fputs("closed\n", file);
+        fclose(file);
+    }
+    free(state);
+}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import lunarsim
 from lunarsim import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from tests.external.software import FAULTY, build_folder, compiler, library, small
+from tests.external.software import EXAMPLES, FAULTY, build_folder, compiler, library, small
 
 
 @pytest.fixture(autouse=True)
@@ -58,8 +59,9 @@ def fly_to_failure(scenario: Scenario) -> dict[str, object]:
     assert not flight.outcome.safe
     (event,) = [e for e in flight.events if e["name"] == "software-failed"]
     assert event["role"] == "guidance"
-    # The first 20 calls were good, and one of them is that before the flight.
-    assert event["time"] == pytest.approx(4.0, abs=0.21)
+    # The first 20 calls were good.
+    assert event["time"] == pytest.approx(4.0, abs=1e-9)
+    assert f"{event['role']}: {event['reason']}: {event['detail']}" in str(flight)
     assert children() == before
     assert left_over() == folders
     return event
@@ -120,6 +122,7 @@ def test_program_that_does_not_start_is_an_input_error(fault, problem):
         ("exit", "died", "exit code 3"),
         ("error", "error", "lunarsim_guidance_step returned 5"),
         ("nan", "invalid-output", "nan"),
+        ("silent", "invalid-output", "nan"),
     ],
 )
 def test_failure_of_an_isolated_library_ends_the_flight_with_its_reason(fault, reason, detail):
@@ -135,7 +138,53 @@ def test_library_that_hangs_ends_the_flight():
 def test_library_in_this_process_reports_errors_as_well():
     event = fly_to_failure(with_library("error", isolated=False))
     assert event["reason"] == "error"
-    assert fly_to_failure(with_library("nan", isolated=False))["reason"] == "invalid-output"
+    for fault in ("nan", "silent"):
+        assert fly_to_failure(with_library(fault, isolated=False))["reason"] == "invalid-output"
+
+
+def test_failure_at_the_first_call_ends_the_flight_at_its_start(tmp_path):
+    flight = Simulation(with_library("crash at once"), 1, "no-divert").run()
+    assert flight.outcome.failure_causes == ("software-failed",)
+    assert flight.duration == 0.0
+    again = lunarsim.Flight.load(flight.save(tmp_path / "flight"))
+    assert again.outcome.failure_causes == flight.outcome.failure_causes
+
+
+@pytest.mark.parametrize("isolated", [True, False])
+def test_library_is_started_and_closed_once_per_flight(isolated, tmp_path):
+    notes = tmp_path / "notes"
+    scenario = with_library(f"close {notes}", isolated=isolated)
+    Simulation(scenario.changed(simulation={"max_time_s": 1.0}), 1, "no-divert").run()
+    assert notes.read_text() == "closed\n"
+    simulation = Simulation(scenario, 1, "no-divert")
+    simulation.step()
+    simulation.close()
+    simulation.close()
+    assert notes.read_text() == "closed\n" * 2
+
+
+def test_program_lives_on_after_the_thread_that_began_the_flight():
+    made = []
+    thread = threading.Thread(target=lambda: made.append(Simulation(program(""), 1, "no-divert")))
+    thread.start()
+    thread.join()
+    time.sleep(0.2)
+    for _ in range(5):
+        made[0].step()
+    assert not made[0].done
+    made[0].close()
+
+
+def test_failure_after_touchdown_keeps_the_landing():
+    path = library("late_failure.c")
+    lunarsim.allow_programs(path)
+    scenario = Scenario.load(EXAMPLES / "golombek_fixes.toml").changed(
+        computer={"kind": "library", "path": str(path), "isolated": False}
+    )
+    flight = Simulation(scenario, 1, "safest").run()
+    assert flight.outcome.touchdown is not None
+    assert [e["name"] for e in flight.events if e["name"] == "software-failed"]
+    assert "software-failed" not in flight.outcome.failure_causes
 
 
 @pytest.mark.parametrize("isolated", [True, False])

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from lunarsim.messages.commands import Command
+from lunarsim.messages.commands import Command, SensorTask
 from lunarsim.scenario.mission import CommandDelay
 from lunarsim.simulation import Simulation
 from lunarsim.simulation.command_delay import CommandQueue
@@ -69,17 +69,30 @@ def test_measured_time_is_added_only_on_request():
     )
 
 
-def test_measurement_tasks_of_a_command_are_done_once():
+@pytest.mark.parametrize("jitter", [0.0, 0.35])
+def test_measurement_tasks_are_done_once_and_not_lost(jitter):
     queue = CommandQueue(
-        CommandDelay(latency=0.15), np.random.default_rng(0), 0.01, Command(0.0, UPRIGHT)
-    )
+        CommandDelay(latency=0.05, jitter=jitter), np.random.default_rng(0), 0.01,
+        Command(0.0, UPRIGHT),
+    )  # fmt: skip
     seen = []
-    for n in range(10):
-        active, changes = queue.add(Command(1.0, UPRIGHT, tasks=(n,)), 0.0, 10)  # type: ignore[arg-type]
+    for n in range(40):
+        # Sensors of their own: a newer task of a sensor would replace an older one.
+        tasks = (SensorTask(f"sensor {n}", np.eye(3)),) if n < 30 else ()
+        active, changes = queue.add(Command(1.0, UPRIGHT, tasks), 0.0, 10)
         last = changes[-1][1] if changes else active
-        seen += last.tasks
-    assert seen == sorted(set(seen))
-    assert len(seen) >= 7
+        seen += [task.sensor for task in last.tasks]
+    assert sorted(seen) == sorted(f"sensor {n}" for n in range(30))
+
+
+def test_newer_task_of_a_sensor_replaces_an_overtaken_one():
+    queue = CommandQueue(
+        CommandDelay(measured=True), np.random.default_rng(0), 0.01, Command(0.0, UPRIGHT)
+    )
+    old, new = (SensorTask("flash", k * np.eye(3)) for k in (1.0, 2.0))
+    queue.add(Command(1.0, UPRIGHT, (old,)), 0.25, 10)
+    active, changes = queue.add(Command(2.0, UPRIGHT, (new,)), 0.05, 10)
+    assert [task.mount[0, 0] for task in (changes[-1][1] if changes else active).tasks] == [2.0]
 
 
 def thrust_at(simulation: Simulation) -> np.ndarray:
@@ -108,6 +121,22 @@ def test_delay_of_nothing_changes_no_bit():
     ]
     for name, column in flights[0].trajectory.items():
         assert np.array_equal(column, flights[1].trajectory[name], equal_nan=True), name
+
+
+def test_change_of_the_command_leaves_the_noise_of_the_gyroscopes():
+    """A cycle that is split by an identical command is the same cycle."""
+    from lunarsim.simulation.cycle import fly_cycle
+
+    ends = []
+    for split in ([], [3, 7]):
+        simulation = Simulation(small(), 4, "no-divert")
+        for _ in range(10):
+            command = simulation.computer.command()
+            changes = [(step, command) for step in split]
+            cycle = fly_cycle(simulation.plant, simulation.computer.attitude_loop, command, changes)
+            simulation.computer.update(cycle.measurements)
+        ends.append(simulation.state.as_vector())
+    assert np.allclose(*ends, rtol=0.0, atol=1e-9)
 
 
 def test_lander_with_thrusters_flies_with_a_delay():

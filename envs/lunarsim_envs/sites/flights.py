@@ -134,6 +134,7 @@ class OnboardFlight:
         seed = int(rng.integers(2**62)) + SPLITS.index(self._split) * 2**62
         drawn = {} if self._dispersions is None else self._dispersions.draws_of(RandomStreams(seed))
         scenario = with_values(self._flown_scenario, drawn, "dispersions")
+        self.close()
         self.simulation, self.drawn = Simulation(scenario, seed), drawn
         self.time_scale_refused = False
         self._fly_on(lambda: None)
@@ -201,7 +202,9 @@ class OnboardFlight:
         return touchdown_limit_ratios(self._flown.lander, [values])
 
     def close(self) -> None:
-        """Release the simulation, including graphics buffers of its terrain."""
+        """Release the simulation: external software and graphics buffers of its terrain."""
+        if self.simulation is not None:
+            self.simulation.close()
         self.simulation, self._seen, self._small = None, None, None
 
 

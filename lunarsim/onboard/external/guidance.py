@@ -13,7 +13,8 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.external.encode import write_end, write_estimate
 from lunarsim.onboard.external.failure import SoftwareFailure
 from lunarsim.onboard.external.settings import Connection, LibrarySoftware, ProcessSoftware
-from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.apollo import ApolloLaw
+from lunarsim.onboard.guidance.contract import GuidanceLaw, PhaseEnd
 from lunarsim.onboard.guidance.divert_cost import DivertCost, PathLimits, divert_cost
 from lunarsim.onboard.guidance.paths import APOLLO
 from lunarsim.onboard.navigation.estimate import Estimate
@@ -71,7 +72,11 @@ class ExternalGuidance:
 
 
 class _Approach:
-    """Approach guidance; the cost of a site is that of the Apollo law's paths."""
+    """Approach guidance; start and cost of a site are those of the Apollo law."""
+
+    def start_law(self, briefing: Briefing, lag: float) -> GuidanceLaw:
+        """Return the law that gives attitude and thrust at the start: the Apollo law."""
+        return ApolloLaw().build(briefing, lag)
 
     def build(self, briefing: Briefing, lag: float) -> ExternalGuidance:
         """Build the guidance law of one flight; the software gets `lag` in its briefing."""

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from lunarsim._daemon_threads import DaemonThreads
 from lunarsim.errors import InputError
 from lunarsim.interface.definitions import VERSION
 from lunarsim.interface.protobuf import SizeError, from_protobuf, new_message, to_protobuf
@@ -44,6 +45,9 @@ def program_arguments(program: Path, arguments: Sequence[str] = ()) -> list[str]
     """Return the command that runs a program; a file ``.py`` runs with this Python."""
     start = [sys.executable, str(program)] if program.suffix == ".py" else [str(program)]
     return [*start, *arguments]
+
+
+_STARTER = DaemonThreads(1, "lunarsim-programs")
 
 
 class ProcessConnection:
@@ -97,6 +101,8 @@ class ProcessConnection:
         except SoftwareFailure as error:
             self.close()
             problem = f"must start and initialise itself: {error.detail}"
+            if error.detail.startswith("must "):
+                problem = error.detail  # an error of the path or of the configuration
             raise InputError("path", self._program, problem.rstrip(".")) from None
         except BaseException:
             self.close()
@@ -121,14 +127,15 @@ class ProcessConnection:
             listener.listen(1)
             token = secrets.token_hex(16)
             environment = os.environ | {ADDRESS_VARIABLE: address, TOKEN_VARIABLE: token}
-            # The kernel kills the program if lunarsim is killed.
+            # The kernel kills the program when the thread that started it ends, so also when
+            # lunarsim is killed. That thread must live as long as lunarsim.
             wrapper = shutil.which("setpriv")
             prefix = [wrapper, "--pdeathsig", "KILL", "--"] if wrapper else []
             try:
-                self.process = subprocess.Popen(
-                    [*prefix, *command], stdin=subprocess.DEVNULL, stdout=2, env=environment,
-                    start_new_session=True,
-                )  # fmt: skip
+                self.process = _STARTER.submit(
+                    subprocess.Popen, [*prefix, *command], stdin=subprocess.DEVNULL, stdout=2,
+                    env=environment, start_new_session=True,
+                ).result()  # fmt: skip
             except OSError as error:
                 raise InputError(
                     "path", self._program, f"must be an executable file ({error.strerror})"

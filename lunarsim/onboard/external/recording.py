@@ -159,13 +159,19 @@ def read_record(path: Path) -> RecordedCalls:
         raise InputError("record", str(path), f"must have interface version {VERSION}")
     if len(parts) % 4 != 2:
         raise InputError("record", str(path), "must be complete; its last call is cut off")
-    briefing = Struct("Briefing")
-    from_protobuf(first.briefing, briefing, _Bytes(parts[1]))
+    briefing, given = Struct("Briefing"), Struct(ROLES[first.role].input)
     calls = []
-    for k in range(2, len(parts), 4):
-        request = new_message("Request")
-        request.ParseFromString(parts[k])
-        calls.append((request, parts[k + 1], parts[k + 2], parts[k + 3]))
+    try:
+        from_protobuf(first.briefing, briefing, _Bytes(parts[1]))
+        for k in range(2, len(parts), 4):
+            request, reply = new_message("Request"), new_message("Reply")
+            request.ParseFromString(parts[k])
+            reply.ParseFromString(parts[k + 2])
+            from_protobuf(getattr(request, f"{first.role}_input"), given, _Bytes(parts[k + 1]))
+            calls.append((request, parts[k + 1], parts[k + 2], parts[k + 3]))
+    except Exception as error:  # google.protobuf.message.DecodeError, SizeError, ValueError
+        problem = f"must be an undamaged record of messages ({type(error).__name__})"
+        raise InputError("record", str(path), problem) from None
     return RecordedCalls(first.role, briefing, calls)
 
 

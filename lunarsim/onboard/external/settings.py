@@ -80,6 +80,8 @@ class _Software(ABC):
     def __post_init__(self) -> None:
         check_bounds(self, "")
         checked_text("Briefing", "configuration", self.configuration, "configuration")
+        if any("\0" in one for one in getattr(self, "arguments", ())):
+            raise InputError("arguments", None, "must not contain null characters")
         self._allowed_path()
 
     def _allowed_path(self) -> Path:
@@ -87,7 +89,7 @@ class _Software(ABC):
         if self.path is None:
             raise InputError("path", None, "is required", "Name a file.", show_value=False)
         check_program("path", self.path)
-        return self.path
+        return self.path.resolve()
 
     @abstractmethod
     def _open(self, path: Path, role: str, briefing: Struct) -> Connection:
