@@ -159,7 +159,8 @@ _GEOMETRY = (
     Message("PhaseEnd", "State that guidance must reach.", (
         _vector("position", "position of the centre of mass", "m"),
         _vector("velocity", "velocity", "m/s"),
-        _vector("acceleration", "acceleration", "m/s^2"),
+        _vector("acceleration", "acceleration of the lander, without gravity compensation",
+                "m/s^2"),
     )),
 )  # fmt: skip
 _BEFORE_FLIGHT = (

@@ -74,10 +74,11 @@ Each message on the socket is preceded by its length in bytes (unsigned, 32 bits
 4. lunarsim closes the socket at the end of the flight. The program then has one second to end.
 
 The fields of the Protobuf messages have the names below. A repeated field has all elements of an
-array of fixed size. An array of variable size lies in the shared memory: its `Block` has the
-offset in bytes and the number of elements. If the size of the file, `shared_memory_size`, has
-grown, map it again. The program writes arrays marked as *written* in place. In Python,
-`lunarsim.api.serve` does all this.
+array of fixed size, or none; without elements, its numbers count as NaN. Protobuf does not
+distinguish a number that is not set from 0. An array of variable size lies in the shared memory:
+its `Block` has the offset in bytes and the number of elements. If the size of the file,
+`shared_memory_size`, has grown, map it again. The program writes arrays marked as *written* in
+place. In Python, `lunarsim.api.serve` does all this.
 
 ## Failures
 

@@ -35,8 +35,9 @@ extern "C" {{
 """
 _BOTTOM = """
 /* A library defines the first function, and three functions for each role that it has. `init`
- * and `step` return 0; another value ends the flight as failed. `state` is any pointer that the
- * library chooses. `close` frees it. One library can fly in several flights at once. */
+ * and `step` return 0; another value of `init` is an error of the scenario, another value of
+ * `step` ends the flight as failed. `state` is any pointer that the library chooses. `close`
+ * frees it. One library can fly in several flights at once. */
 uint32_t lunarsim_interface_version(void);
 """
 

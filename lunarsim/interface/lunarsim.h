@@ -71,7 +71,7 @@ LUNARSIM_CHECK(sizeof(LunarsimEstimate) == 776, "size of LunarsimEstimate");
 typedef struct {
     double position[3]; /* position of the centre of mass (local frame), m */
     double velocity[3]; /* velocity (local frame), m/s */
-    double acceleration[3]; /* acceleration (local frame), m/s^2 */
+    double acceleration[3]; /* acceleration of the lander, without gravity compensation (local frame), m/s^2 */
 } LunarsimPhaseEnd;
 LUNARSIM_CHECK(sizeof(LunarsimPhaseEnd) == 72, "size of LunarsimPhaseEnd");
 
@@ -364,8 +364,9 @@ typedef struct {
 LUNARSIM_CHECK(sizeof(LunarsimControlOutput) == 24, "size of LunarsimControlOutput");
 
 /* A library defines the first function, and three functions for each role that it has. `init`
- * and `step` return 0; another value ends the flight as failed. `state` is any pointer that the
- * library chooses. `close` frees it. One library can fly in several flights at once. */
+ * and `step` return 0; another value of `init` is an error of the scenario, another value of
+ * `step` ends the flight as failed. `state` is any pointer that the library chooses. `close`
+ * frees it. One library can fly in several flights at once. */
 uint32_t lunarsim_interface_version(void);
 
 /* Role computer: once per control cycle. */

@@ -36,7 +36,7 @@ class Stopwatch:
 
 
 def _with_tasks(command: Command, earlier: tuple[SensorTask, ...]) -> Command:
-    """Return a command with earlier measurement tasks for sensors that it does not task."""
+    """Return a command with earlier measurement tasks for its other sensors."""
     sensors = {task.sensor for task in command.tasks}
     added = tuple(task for task in earlier if task.sensor not in sensors)
     return replace(command, tasks=added + command.tasks) if added else command

@@ -179,7 +179,8 @@ def test_failure_after_touchdown_keeps_the_landing():
     path = library("late_failure.c")
     lunarsim.allow_programs(path)
     scenario = Scenario.load(EXAMPLES / "golombek_fixes.toml").changed(
-        computer={"kind": "library", "path": str(path), "isolated": False}
+        computer={"kind": "library", "path": str(path), "isolated": False},
+        start={"position_m": [-60.0, 0.0, 92.0], "velocity_m_s": [6.0, 0.0, -5.0]},
     )
     flight = Simulation(scenario, 1, "safest").run()
     assert flight.outcome.touchdown is not None
