@@ -34,7 +34,6 @@ _MODULES = {
     "gaussian_dem": "lunarsim.onboard.hazards.gaussian_dem",
     "HazardMap": "lunarsim.onboard.hazards.hazard_map",
     "allow_modules": "lunarsim.parts.module_permission",
-    "allow_programs": "lunarsim.parts.program_permission",
     "RandomStreams": "lunarsim.rng",
     "flight_seed": "lunarsim.rng",
     "exact_safety": "lunarsim.safety",

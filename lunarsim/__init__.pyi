@@ -10,7 +10,6 @@ from lunarsim.grid import Grid as Grid
 from lunarsim.onboard.hazards.gaussian_dem import gaussian_dem as gaussian_dem
 from lunarsim.onboard.hazards.hazard_map import HazardMap as HazardMap
 from lunarsim.parts.module_permission import allow_modules as allow_modules
-from lunarsim.parts.program_permission import allow_programs as allow_programs
 from lunarsim.rng import RandomStreams as RandomStreams
 from lunarsim.rng import flight_seed as flight_seed
 from lunarsim.safety import exact_safety as exact_safety

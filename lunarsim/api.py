@@ -16,7 +16,6 @@ _MODULES = {
     "quat_rotate": "lunarsim.frames",
     "Grid": "lunarsim.grid",
     "SensorTask": "lunarsim.messages.commands",
-    "serve": "lunarsim.interface.server",
     "AltimeterReading": "lunarsim.messages.measurements",
     "InertialSamples": "lunarsim.messages.measurements",
     "LidarScan": "lunarsim.messages.measurements",

@@ -1,7 +1,6 @@
 from lunarsim.frames import SiteToLocal as SiteToLocal
 from lunarsim.frames import quat_rotate as quat_rotate
 from lunarsim.grid import Grid as Grid
-from lunarsim.interface.server import serve as serve
 from lunarsim.messages.commands import SensorTask as SensorTask
 from lunarsim.messages.measurements import AltimeterReading as AltimeterReading
 from lunarsim.messages.measurements import InertialSamples as InertialSamples

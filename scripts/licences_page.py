@@ -27,7 +27,9 @@ packages of each extra.
 """
 
 # Packages without a licence in their metadata: taken from the licence file of the distribution.
-BY_FILE = {"embreex": "BSD-2-Clause", "ptyprocess": "ISC", "qoco": "BSD-3-Clause"}
+BY_FILE = {
+    "embreex": "BSD-2-Clause", "FMPy": "BSD-2-Clause", "ptyprocess": "ISC", "qoco": "BSD-3-Clause",
+}  # fmt: skip
 # SPDX identifiers of licence names in classifiers and free text; "BSD" can have 2 or 3 clauses.
 SPDX = {
     "2-clause BSD": "BSD-2-Clause",

@@ -10,6 +10,7 @@ import pytest
 
 import lunarsim
 import lunarsim.api
+import lunarsim.interface
 import lunarsim.search
 import lunarsim.studies
 import lunarsim.studies.worst_case
@@ -18,6 +19,7 @@ from tests.worlds import ROOT
 PUBLIC = {
     "lunarsim": set(lunarsim.__all__) | {"__version__", "api"},
     "lunarsim.api": set(lunarsim.api.__all__),
+    "lunarsim.interface": set(lunarsim.interface.__all__),
     "lunarsim.search": set(lunarsim.search.__all__),
     "lunarsim.studies": set(lunarsim.studies.__all__),
     "lunarsim.studies.worst_case": set(lunarsim.studies.worst_case.__all__),

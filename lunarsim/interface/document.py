@@ -78,7 +78,7 @@ array of fixed size, or none; without elements, its numbers count as NaN. Protob
 distinguish a number that is not set from 0. An array of variable size lies in the shared memory:
 its `Block` has the offset in bytes and the number of elements. If the size of the file,
 `shared_memory_size`, has grown, map it again. The program writes arrays marked as *written* in
-place. In Python, `lunarsim.api.serve` does all this.
+place. In Python, `lunarsim.interface.serve` does all this.
 
 ## Failures
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from lunarsim.api import serve
+from lunarsim.interface import serve
 
 MIN_TIME_TO_GO = 1.5
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-from lunarsim.api import serve
+from lunarsim.interface import serve
 
 KEEP, DIVERT = 0, 1
 MAX_DISTANCE = 60.0

@@ -49,7 +49,7 @@ def _image() -> Any:
 
 def external() -> None:
     """Time calls of guidance, computer and mapper in a library and in a process."""
-    from lunarsim import allow_programs
+    from lunarsim.interface import allow_programs
     from lunarsim.onboard.external.computer import LibraryComputer
     from lunarsim.onboard.external.guidance import LibraryGuidance, ProcessGuidance
     from lunarsim.onboard.guidance.contract import PhaseEnd

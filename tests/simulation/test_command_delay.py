@@ -11,7 +11,7 @@ from lunarsim.messages.commands import Command, SensorTask
 from lunarsim.scenario.mission import CommandDelay
 from lunarsim.simulation import Simulation
 from lunarsim.simulation.command_delay import CommandQueue
-from tests.external.software import small
+from tests.interface.software import small
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 

@@ -134,8 +134,10 @@ class OnboardFlight:
         seed = int(rng.integers(2**62)) + SPLITS.index(self._split) * 2**62
         drawn = {} if self._dispersions is None else self._dispersions.draws_of(RandomStreams(seed))
         scenario = with_values(self._flown_scenario, drawn, "dispersions")
+        # If the start is refused, the last flight stays.
+        new = Simulation(scenario, seed)
         self.close()
-        self.simulation, self.drawn = Simulation(scenario, seed), drawn
+        self.simulation, self.drawn = new, drawn
         self.time_scale_refused = False
         self._fly_on(lambda: None)
 

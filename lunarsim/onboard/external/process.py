@@ -86,7 +86,7 @@ class ProcessConnection:
             raise InputError("path", command[0], "must be an executable file")
         self._request, self._reply = new_message("Request"), new_message("Reply")
         parent = _MEMORY_FOLDER if os.access(_MEMORY_FOLDER, os.W_OK) else None
-        folder = Path(tempfile.mkdtemp(prefix="lunarsim-", dir=parent))
+        folder = Path(tempfile.mkdtemp(prefix=f"lunarsim-{os.getpid()}-", dir=parent))
         cleaner = contextlib.ExitStack()
         # Also called when a flight is abandoned, or the interpreter ends.
         self._finalizer = weakref.finalize(self, cleaner.close)

@@ -10,9 +10,11 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from lunarsim.scenario import Scenario
+from lunarsim.simulation import Flight
 from tests.conftest import ROOT
 
 EXAMPLES = ROOT / "scenarios" / "external"
@@ -70,3 +72,13 @@ def library(name: str) -> Path:
     """Return the compiled library of an example, or of a source beside this file."""
     beside = Path(__file__).with_name(name)
     return _library(beside if beside.exists() else EXAMPLES / name)
+
+
+def assert_same_flight(a: Flight, b: Flight) -> None:
+    for table in ("trajectory", "navigation", "commands"):
+        one, other = getattr(a, table), getattr(b, table)
+        assert one.keys() == other.keys()
+        for name in one:
+            assert np.array_equal(one[name], other[name], equal_nan=True), name
+    assert str(a.outcome) == str(b.outcome)
+    assert str(a.decisions) == str(b.decisions)

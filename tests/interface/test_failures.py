@@ -13,9 +13,10 @@ import pytest
 
 import lunarsim
 from lunarsim import InputError
+from lunarsim.interface import allow_programs
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from tests.external.software import EXAMPLES, FAULTY, build_folder, compiler, library, small
+from tests.interface.software import EXAMPLES, FAULTY, build_folder, compiler, library, small
 
 
 @pytest.fixture(autouse=True)
@@ -32,12 +33,14 @@ def children() -> set[int]:
     return {int(line.split()[0]) for line in out.splitlines() if "ps" not in line.split()[1:]}
 
 
-def left_over() -> set[str]:
-    return {path.name for path in Path("/dev/shm").glob("lunarsim-*")}
+def left_over(process: int | None = None) -> set[str]:
+    """Return the folders of connections of a process, by default this one."""
+    names = f"lunarsim-{os.getpid() if process is None else process}-*"
+    return {path.name for path in Path("/dev/shm").glob(names)}
 
 
 def program(fault: str, **settings: object) -> Scenario:
-    lunarsim.allow_programs(FAULTY)
+    allow_programs(FAULTY)
     return small(
         guidance={"kind": "process", "path": str(FAULTY), "arguments": [fault], **settings}
     )
@@ -45,7 +48,7 @@ def program(fault: str, **settings: object) -> Scenario:
 
 def with_library(fault: str, **settings: object) -> Scenario:
     path = library("faulty_software.c")
-    lunarsim.allow_programs(path)
+    allow_programs(path)
     return small(
         guidance={"kind": "library", "path": str(path), "configuration": fault, **settings}
     )
@@ -177,7 +180,7 @@ def test_program_lives_on_after_the_thread_that_began_the_flight():
 
 def test_failure_after_touchdown_keeps_the_landing():
     path = library("late_failure.c")
-    lunarsim.allow_programs(path)
+    allow_programs(path)
     scenario = Scenario.load(EXAMPLES / "golombek_fixes.toml").changed(
         computer={"kind": "library", "path": str(path), "isolated": False},
         start={"position_m": [-60.0, 0.0, 92.0], "velocity_m_s": [6.0, 0.0, -5.0]},
@@ -191,7 +194,7 @@ def test_failure_after_touchdown_keeps_the_landing():
 @pytest.mark.parametrize("isolated", [True, False])
 def test_unsuitable_library_is_an_input_error(isolated, tmp_path):
     def error(path: Path, **settings: object) -> str:
-        lunarsim.allow_programs(path)
+        allow_programs(path)
         given = {"kind": "library", "path": str(path), "isolated": isolated, **settings}
         with pytest.raises(InputError) as caught:
             Simulation(small(guidance=given), 1)
@@ -215,10 +218,10 @@ def test_unsuitable_library_is_an_input_error(isolated, tmp_path):
 
 def test_nothing_is_left_if_lunarsim_is_killed(tmp_path):
     """A program that hangs ends when lunarsim is killed."""
-    script, folders = tmp_path / "fly.py", left_over()
+    script = tmp_path / "fly.py"
     script.write_text(
         "import lunarsim\n"
-        "from tests.external.test_failures import children, program\n"
+        "from tests.interface.test_failures import children, program\n"
         "from lunarsim.simulation import Simulation\n"
         "simulation = Simulation(program('hang', deadline_s=600), 1)\n"
         "print(*children(), flush=True)\n"
@@ -236,4 +239,4 @@ def test_nothing_is_left_if_lunarsim_is_killed(tmp_path):
     while Path(f"/proc/{pid}").exists() and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not Path(f"/proc/{pid}").exists()
-    assert left_over() == folders
+    assert left_over(child.pid) == set()

@@ -30,7 +30,7 @@ from lunarsim.onboard.external.encode import (
     write_observation,
 )
 from lunarsim.simulation import Simulation
-from tests.external.software import small
+from tests.interface.software import small
 
 RNG = np.random.default_rng(2)
 N = RNG.standard_normal

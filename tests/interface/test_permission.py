@@ -15,8 +15,9 @@ from lunarsim.campaign.fly_spec import fly_spec
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.cli import main
+from lunarsim.interface import allow_programs
 from lunarsim.scenario import Scenario
-from tests.external.software import EXAMPLES, library, small
+from tests.interface.software import EXAMPLES, library, small
 
 PROGRAM = EXAMPLES / "e_guidance.py"
 TABLES = {
@@ -43,12 +44,12 @@ def test_program_must_be_allowed_in_every_table(table, kind):
     name = "mappers.dem" if table == "mappers" else table
     assert caught.value.field == f"{name}.path"
     assert "--allow-program" in caught.value.remedy
-    lunarsim.allow_programs(PROGRAM)
+    allow_programs(PROGRAM)
     assert scenario(table, kind, PROGRAM) is not None
 
 
 def test_only_the_allowed_file_may_run(tmp_path):
-    lunarsim.allow_programs(PROGRAM)
+    allow_programs(PROGRAM)
     other = tmp_path / PROGRAM.name
     other.write_text(PROGRAM.read_text())
     with pytest.raises(InputError, match="allowed"):
@@ -59,13 +60,13 @@ def test_only_the_allowed_file_may_run(tmp_path):
         scenario("guidance", "process", link)
     with pytest.raises(InputError, match="allowed"):
         scenario("guidance", "process", EXAMPLES)
-    lunarsim.allow_programs(tmp_path / "none.py")
+    allow_programs(tmp_path / "none.py")
     with pytest.raises(InputError, match="must be an existing file"):
         scenario("guidance", "process", tmp_path / "none.py")
 
 
 def test_file_that_changes_its_target_after_the_check_is_refused(tmp_path):
-    lunarsim.allow_programs(PROGRAM)
+    allow_programs(PROGRAM)
     link = tmp_path / "link.py"
     link.symlink_to(PROGRAM)
     made = scenario("guidance", "process", link)
@@ -78,7 +79,7 @@ def test_file_that_changes_its_target_after_the_check_is_refused(tmp_path):
 
 
 def test_permission_is_pickled_with_a_scenario(monkeypatch):
-    lunarsim.allow_programs(PROGRAM)
+    allow_programs(PROGRAM)
     data = pickle.dumps(scenario("guidance", "process", PROGRAM))
     monkeypatch.setenv("LUNARSIM_ALLOW_PROGRAMS", "")
     assert pickle.loads(data).guidance.kind == "process"
@@ -89,7 +90,7 @@ def test_paths_in_a_scenario_file_start_from_its_folder(tmp_path, monkeypatch):
     file = tmp_path / "own.toml"
     file.write_text('[guidance]\nkind = "process"\npath = "law.py"\n')
     monkeypatch.chdir("/")
-    lunarsim.allow_programs(tmp_path / "law.py")
+    allow_programs(tmp_path / "law.py")
     assert Scenario.load(file).guidance.path == tmp_path / "law.py"
 
 
@@ -130,7 +131,7 @@ def test_command_line_needs_the_option(tmp_path):
 
 def test_campaign_with_a_crashing_library_goes_on_in_all_workers(tmp_path):
     path = library("faulty_software.c")
-    lunarsim.allow_programs(path)
+    allow_programs(path)
     faults = ("crash", "nan", "none", "hang")
     guidance = {"kind": "library", "path": str(path), "deadline_s": 1.0}
     flown = small(guidance=guidance, simulation={"max_time_s": 8.0}).to_dict()

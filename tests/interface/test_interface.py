@@ -16,7 +16,7 @@ from lunarsim.interface.header import header, struct_name
 from lunarsim.interface.protobuf import from_protobuf, new_message, schema_text, to_protobuf
 from lunarsim.interface.structs import Struct, dtype_of
 from lunarsim.interface.wire import SharedArrays, WireError
-from tests.external.software import compiler
+from tests.interface.software import compiler
 
 FOLDER = Path(lunarsim.__file__).parent / "interface"
 

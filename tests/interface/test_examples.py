@@ -13,9 +13,10 @@ from click.testing import CliRunner
 
 import lunarsim
 from lunarsim.cli import main
+from lunarsim.interface import allow_programs
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Flight, Simulation
-from tests.external.software import EXAMPLES, library, small
+from tests.interface.software import EXAMPLES, assert_same_flight, library, small
 
 PYTHON = {name: EXAMPLES / f"{name}.py" for name in ("e_guidance", "nearest_safe")}
 
@@ -27,27 +28,17 @@ def allowed(monkeypatch):
 
 def in_library(name: str, **more: Any) -> dict[str, Any]:
     path = library(name)
-    lunarsim.allow_programs(path)
+    allow_programs(path)
     return {"kind": "library", "path": str(path), **more}
 
 
 def in_process(name: str, **more: Any) -> dict[str, Any]:
-    lunarsim.allow_programs(PYTHON[name])
+    allow_programs(PYTHON[name])
     return {"kind": "process", "path": str(PYTHON[name]), **more}
 
 
 def golombek(**changes: Any) -> Flight:
     return lunarsim.fly(lunarsim.load_scenario("golombek").changed(**changes), seed=1)
-
-
-def assert_same_flight(a: Flight, b: Flight) -> None:
-    for table in ("trajectory", "navigation", "commands"):
-        one, other = getattr(a, table), getattr(b, table)
-        assert one.keys() == other.keys()
-        for name in one:
-            assert np.array_equal(one[name], other[name], equal_nan=True), name
-    assert str(a.outcome) == str(b.outcome)
-    assert str(a.decisions) == str(b.decisions)
 
 
 @cache
@@ -142,7 +133,7 @@ def test_examples_build_with_cmake(tmp_path):
 
 def test_recorded_calls_are_repeated_byte_for_byte_without_a_simulation(tmp_path):
     path = library("e_guidance.c")
-    lunarsim.allow_programs(path)
+    allow_programs(path)
     messages = tmp_path / "messages"
     scenario = small(guidance=in_library("e_guidance.c", isolated=False))
     Simulation(scenario, 4, "safest", messages=messages).run()

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import pytest
 
-import lunarsim
 from lunarsim import InputError
+from lunarsim.interface import allow_programs
 from lunarsim.simulation import Simulation
-from tests.external.software import compiler, library, small
-from tests.external.test_examples import assert_same_flight
+from tests.interface.software import assert_same_flight, compiler, library, small
 
 fmpy = pytest.importorskip("fmpy")
 SOURCE = Path(__file__).with_name("fmu.c")
@@ -95,14 +94,14 @@ def made(folder: Path, version: int, output: str = "acceleration", extra: str = 
     with zipfile.ZipFile(path, "w") as file:
         file.writestr("modelDescription.xml", '<?xml version="1.0"?>' + description)
         file.write(binary, f"binaries/{'linux64' if version == 2 else 'x86_64-linux'}/law.so")
-    lunarsim.allow_programs(path)
+    allow_programs(path)
     return path
 
 
 @pytest.mark.parametrize("version", [2, 3])
 def test_fmu_flies_as_the_library(version, tmp_path):
     path = library("e_guidance.c")
-    lunarsim.allow_programs(path)
+    allow_programs(path)
     known = {"kind": "library", "path": str(path), "isolated": False}
     expected = Simulation(small(guidance=known), 4, "safest").run()
     fmu = {"kind": "fmu", "path": str(made(tmp_path, version)), "isolated": version == 2}
@@ -124,5 +123,5 @@ def test_unsuitable_fmu_is_an_input_error(isolated, tmp_path):
     assert "has the input time_to_go" in error(law, "control")
     text = tmp_path / "text.fmu"
     text.write_text("no archive")
-    lunarsim.allow_programs(text)
+    allow_programs(text)
     assert "must be an FMU" in error(text)
