@@ -29,6 +29,7 @@ from lunarsim.onboard.external.encode import (
     write_estimate,
     write_observation,
 )
+from lunarsim.onboard.policies.contract import Candidates
 from lunarsim.simulation import Simulation
 from tests.interface.software import small
 
@@ -141,7 +142,10 @@ def test_observation_is_written():
     simulation = Simulation(small(), 4)
     while not simulation.decision_due:
         simulation.move()
-    seen = simulation.observe()
+    sites = Candidates(
+        N((4, 3)), RNG.random(4), 9.0 * RNG.random(4), 9.0 * RNG.random(4), RNG.random(4)
+    )
+    seen = replace(simulation.observe(), candidates=sites)
     out = Struct("PolicyInput")
     write_observation(out, seen)
     assert_written(out, seen, (
