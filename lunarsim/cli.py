@@ -122,7 +122,7 @@ def fly(
         forecast = lock_forecast(simulation.briefing)
         if forecast is not None and not forecast.can_lock:
             click.echo(f"warning: {forecast}", err=True)
-        record = simulation.run() if pacer is None else simulation.run(pacer)
+        record = simulation.run(pacer)
         if out is not None:
             # This call compiles kernels, so it must run inside the block that counts them.
             simulation.truth.is_safe_at(simulation.site[:2])

@@ -65,17 +65,24 @@ def allow_modules(*names: str) -> None:
 
 
 @contextmanager
-def modules_allowed(names: Iterable[str]) -> Iterator[None]:
-    """Let scenario and agent files load classes of modules within a `with` statement."""
-    before = os.environ.get(ALLOW_MODULES_VARIABLE)
+def variable_restored(name: str) -> Iterator[None]:
+    """Restore an environment variable at the end of a `with` statement."""
+    before = os.environ.get(name)
     try:
-        allow_modules(*names)
         yield
     finally:
         if before is None:
-            os.environ.pop(ALLOW_MODULES_VARIABLE, None)
+            os.environ.pop(name, None)
         else:
-            os.environ[ALLOW_MODULES_VARIABLE] = before
+            os.environ[name] = before
+
+
+@contextmanager
+def modules_allowed(names: Iterable[str]) -> Iterator[None]:
+    """Let scenario and agent files load classes of modules within a `with` statement."""
+    with variable_restored(ALLOW_MODULES_VARIABLE):
+        allow_modules(*names)
+        yield
 
 
 def find_module_names(texts: Iterable[str | None]) -> list[str]:

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from lunarsim.errors import InputError
+from lunarsim.parts.module_permission import variable_restored
 
 ALLOW_PROGRAMS_VARIABLE = "LUNARSIM_ALLOW_PROGRAMS"
 
@@ -71,12 +72,6 @@ def allow_programs(*paths: str | Path) -> None:
 @contextmanager
 def programs_allowed(paths: Iterable[str | Path]) -> Iterator[None]:
     """Let scenario files run programs and libraries within a `with` statement."""
-    before = os.environ.get(ALLOW_PROGRAMS_VARIABLE)
-    try:
+    with variable_restored(ALLOW_PROGRAMS_VARIABLE):
         allow_programs(*paths)
         yield
-    finally:
-        if before is None:
-            os.environ.pop(ALLOW_PROGRAMS_VARIABLE, None)
-        else:
-            os.environ[ALLOW_PROGRAMS_VARIABLE] = before

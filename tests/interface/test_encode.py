@@ -91,7 +91,7 @@ def test_image_is_written_with_its_camera(dtype):
     counts = RNG.integers(0, 255, (3, 4)).astype(dtype)
     out = Struct("Measurements")
     image = CameraImage(7.0, counts, camera, 0.01)
-    MeasurementWriter(("eye",)).write(out, Measurements(7.0, (("eye", image),)))
+    MeasurementWriter(("camera",)).write(out, Measurements(7.0, (("camera", image),)))
     (part,) = out.parts["camera_image"]
     assert_written(part, camera)
     assert part.get("exposure") == 0.01

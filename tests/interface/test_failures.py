@@ -65,8 +65,8 @@ def fly_to_failure(scenario: Scenario) -> dict[str, object]:
     # The first 20 calls were good.
     assert event["time"] == pytest.approx(4.0, abs=1e-9)
     assert f"{event['role']}: {event['reason']}: {event['detail']}" in str(flight)
-    assert children() == before
-    assert left_over() == folders
+    assert children() <= before
+    assert left_over() <= folders
     return event
 
 
@@ -113,8 +113,8 @@ def test_program_that_does_not_start_is_an_input_error(fault, problem):
     with pytest.raises(InputError, match=problem) as caught:
         Simulation(program(fault, start_time_s=3.0 if fault != "no-connection" else 0.5), 1)
     assert caught.value.field == "guidance.path"
-    assert children() == before
-    assert left_over() == folders
+    assert children() <= before
+    assert left_over() <= folders
 
 
 @pytest.mark.parametrize(

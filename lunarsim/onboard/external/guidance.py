@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from lunarsim.interface.definitions import GuidancePhase
 from lunarsim.interface.structs import Struct
 from lunarsim.messages.briefing import Briefing
-from lunarsim.models.lander import Lander
 from lunarsim.onboard.external.encode import write_end, write_estimate
 from lunarsim.onboard.external.failure import SoftwareFailure
 from lunarsim.onboard.external.settings import Connection, LibrarySoftware, ProcessSoftware
 from lunarsim.onboard.guidance.apollo import ApolloLaw
 from lunarsim.onboard.guidance.contract import GuidanceLaw, PhaseEnd
-from lunarsim.onboard.guidance.divert_cost import DivertCost, PathLimits, divert_cost
-from lunarsim.onboard.guidance.paths import APOLLO
+from lunarsim.onboard.guidance.divert_cost import DivertCost
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import quantity
 from lunarsim.typing import Array
@@ -83,21 +82,9 @@ class _Approach:
         connection = self.connect("guidance", briefing)  # type: ignore[attr-defined]
         return ExternalGuidance(connection, GuidancePhase.APPROACH)
 
-    def cost(
-        self,
-        estimate: Estimate,
-        end: PhaseEnd,
-        lander: Lander,
-        gravity: float,
-        limits: PathLimits | None = None,
-        times: Array | None = None,
-    ) -> DivertCost:
-        """Return the propellant cost of reaching each of n ends of an approach.
-
-        `gravity` is in m/s^2; `limits` are those of thrust, tilt, glideslope and propellant.
-        `times` (n,), s, are fixed times-to-go; None: the optimal ones.
-        """
-        return divert_cost(estimate, end, lander, gravity, limits=limits, shape=APOLLO, times=times)
+    def cost(self, *given: Any, **options: Any) -> DivertCost:
+        """Return the cost of the Apollo law's paths; arguments as in `GuidancePart.cost`."""
+        return ApolloLaw().cost(*given, **options)
 
 
 @dataclass(frozen=True)
