@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cache
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from numpy.typing import NDArray
 
 from lunarsim.interface.definitions import MESSAGES, ROLES, VERSION, Field, Message
-from lunarsim.interface.structs import NUMBERS, Struct
+from lunarsim.interface.structs import Struct
 
 PACKAGE = "lunarsim"
 _PROTO_NUMBERS = {
@@ -128,43 +128,55 @@ class SizeError(ValueError):
     """An array in a message has a wrong number of elements."""
 
 
+class _Plan(NamedTuple):
+    """Names of a message's fields by the way in which they are converted."""
+
+    numbers: list[str]
+    vectors: list[str]
+    texts: list[str]
+    messages: list[str]
+    blocks: list[str]
+    fixed_lists: list[str]
+    lists: list[str]
+
+
 @cache
-def _plan(message: str) -> tuple[tuple[str, Field], ...]:
-    """Return how each field of a message is converted, and its definition."""
-
-    def kind(f: Field) -> str:
-        if f.is_list:
-            return "list"
-        if f.is_block:
-            return "block"
+def _plan(message: str) -> _Plan:
+    """Return how the fields of a message are converted."""
+    plan = _Plan([], [], [], [], [], [], [])
+    for _, f, _, _ in _schema(MESSAGES[message]):
         if f.is_message:
-            return "array of messages" if f.shape else "message"
-        return "text" if f.type == "text" else "array" if f.shape else "number"
-
-    return tuple((kind(f), f) for _, f, _, _ in _schema(MESSAGES[message]))
+            names = plan.lists if f.is_list else plan.fixed_lists if f.shape else plan.messages
+        elif f.is_block:
+            names = plan.blocks
+        else:
+            names = plan.texts if f.type == "text" else plan.vectors if f.shape else plan.numbers
+        names.append(f.name)
+    return plan
 
 
 def to_protobuf(struct: Struct, message: Any, memory: Memory) -> None:
     """Copy a structure into an empty Protobuf message, and its arrays into `memory`."""
-    for kind, f in _plan(struct.message.name):
-        name = f.name
-        if kind == "number":
-            setattr(message, name, struct.get(name).item())
-        elif kind == "array":
-            getattr(message, name).extend(struct.flat[name].tolist())
-        elif kind == "message":
-            to_protobuf(struct.parts[name], getattr(message, name), memory)
-        elif kind == "block":
-            array = struct.arrays.get(name)
-            if array is not None and array.size:
-                block = getattr(message, name)
-                block.offset, block.count = memory.place(array), array.size
-        elif kind == "text":
-            setattr(message, name, bytes(struct.get(name)).decode("utf-8", "replace"))
-        else:
-            parts = struct.parts[name]
-            for part in parts if f.is_list else parts[: struct.get(f"{name}_count")]:
-                to_protobuf(part, getattr(message, name).add(), memory)
+    plan, views, parts = _plan(struct.message.name), struct.views, struct.parts
+    for name in plan.numbers:
+        setattr(message, name, views[name].item())
+    for name in plan.vectors:
+        getattr(message, name).extend(struct.flat[name].tolist())
+    for name in plan.texts:
+        setattr(message, name, bytes(struct.get(name)).decode("utf-8", "replace"))
+    for name in plan.messages:
+        to_protobuf(parts[name], getattr(message, name), memory)
+    for name in plan.blocks:
+        array = struct.arrays.get(name)
+        if array is not None and array.size:
+            block = getattr(message, name)
+            block.offset, block.count = memory.place(array), array.size
+    for name in plan.fixed_lists:
+        for part in parts[name][: struct.get(f"{name}_count")]:
+            to_protobuf(part, getattr(message, name).add(), memory)
+    for name in plan.lists:
+        for part in parts[name]:
+            to_protobuf(part, getattr(message, name).add(), memory)
 
 
 def from_protobuf(message: Any, struct: Struct, memory: Memory) -> None:
@@ -177,32 +189,32 @@ def from_protobuf(message: Any, struct: Struct, memory: Memory) -> None:
     SizeError
         If an array has a wrong number of elements.
     """
-    for kind, f in _plan(struct.message.name):
-        value = getattr(message, f.name)
-        if kind == "number":
-            struct.set(**{f.name: value})
-        elif kind == "array":
-            flat = struct.flat[f.name]
-            if len(value) == 0:
-                flat[:] = np.nan
-                continue
-            if len(value) != flat.size:
-                raise SizeError(f"{f.name} must have {flat.size} elements, but has {len(value)}")
-            flat[:] = value[:]
-        elif kind == "message":
-            from_protobuf(value, struct.parts[f.name], memory)
-        elif kind == "block":
-            struct.attach(**{f.name: memory.view(value.offset, value.count, NUMBERS[f.type])})
-        elif kind == "text":
-            struct.set(**{f.name: value.encode()[: f.shape[0] - 1]})
-        else:
-            _read_elements(value, f, struct, memory)
-
-
-def _read_elements(values: Any, f: Field, struct: Struct, memory: Memory) -> None:
-    """Copy a repeated Protobuf field into a list, or into an array of messages."""
-    if not f.is_list and len(values) > f.shape[0]:
-        raise SizeError(f"{f.name} must have at most {f.shape[0]} elements, not {len(values)}")
-    parts = struct.resize_list(f.name, len(values)) if f.is_list else struct.parts[f.name]
-    for value, part in zip(values, parts, strict=False):
-        from_protobuf(value, part, memory)
+    plan, views = _plan(struct.message.name), struct.views
+    for name in plan.numbers:
+        views[name][0] = getattr(message, name)
+    for name in plan.vectors:
+        value, flat = getattr(message, name), struct.flat[name]
+        if len(value) not in (0, flat.size):
+            raise SizeError(f"{name} must have {flat.size} elements, but has {len(value)}")
+        flat[:] = value[:] or np.nan
+    for name in plan.texts:
+        view = views[name]
+        view[0] = getattr(message, name).encode()[: view.itemsize - 1]
+    for name in plan.messages:
+        from_protobuf(getattr(message, name), struct.parts[name], memory)
+    for name in plan.blocks:
+        block = getattr(message, name)
+        struct.attach(**{name: memory.view(block.offset, block.count, struct.kinds[name])})
+    for name in plan.fixed_lists:
+        values, elements = getattr(message, name), struct.parts[name]
+        if len(values) > len(elements):
+            problem = f"must have at most {len(elements)} elements, not {len(values)}"
+            raise SizeError(f"{name} {problem}")
+        for value, part in zip(values, elements, strict=False):
+            from_protobuf(value, part, memory)
+    for name in plan.lists:
+        values = getattr(message, name)
+        if not values and not struct.parts[name]:
+            continue
+        for value, part in zip(values, struct.resize_list(name, len(values)), strict=True):
+            from_protobuf(value, part, memory)

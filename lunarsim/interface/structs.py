@@ -16,6 +16,8 @@ NUMBERS: dict[str, type[np.generic]] = {
     "uint16": np.uint16, "uint8": np.uint8,
 }  # fmt: skip
 _POINTER = np.uint64
+# Arrays of variable size with at most so many elements are copied: faster than their addresses.
+_MAX_COPIED = 256
 
 
 @cache
@@ -52,7 +54,7 @@ def address_of(array: NDArray[Any]) -> int:
 
 
 class Struct:
-    """Structure of one message; arrays of variable size stay where they are.
+    """Structure of one message; large arrays of variable size stay where they are.
 
     Parameters
     ----------
@@ -69,10 +71,10 @@ class Struct:
         Memory of the structure (1,), and its address.
     parts
         Structures of the fields that are messages; of an array of messages, a list of them.
-    arrays
-        Arrays of variable size by field.
-    flat
-        Views of the arrays of fixed size by field, as vectors.
+    arrays, kinds
+        Arrays of variable size by field, and their types.
+    views, flat
+        Views (1, ...) of all fields by name; views of the arrays of fixed size as vectors.
     """
 
     def __init__(self, message: str, buffer: NDArray[Any] | None = None) -> None:
@@ -82,16 +84,17 @@ class Struct:
         self._bytes, self._empty = self.buffer.view(np.uint8), _empty(message).view(np.uint8)
         self.parts: dict[str, Any] = {}
         self.arrays: dict[str, NDArray[Any]] = {}
-        self._views = {f.name: self.buffer[f.name] for f in self.message.fields}
+        self.views = {f.name: self.buffer[f.name] for f in self.message.fields}
         self.flat = {
-            f.name: self._views[f.name].reshape(-1)
+            f.name: self.views[f.name].reshape(-1)
             for f in self.message.fields
             if f.shape and not f.is_message and f.type != "text"
         }
         self._lists: dict[str, list[Struct]] = {}
-        self._kinds = {f.name: NUMBERS[f.type] for f in self.message.fields if f.is_block}
+        self.kinds = {f.name: NUMBERS[f.type] for f in self.message.fields if f.is_block}
+        self._written = {f.name for f in self.message.fields if f.written}
         for f in self.message.fields:
-            view = self._views[f.name]
+            view = self.views[f.name]
             if f.is_list:
                 self._lists[f.name], self.parts[f.name] = [], []
             elif f.is_message and f.shape:
@@ -102,7 +105,7 @@ class Struct:
     def set(self, **values: Any) -> None:
         """Set fields of numbers, vectors and texts."""
         for name, value in values.items():
-            self._views[name][0] = value
+            self.views[name][0] = value
 
     def clear(self) -> None:
         """Set all numbers of type double to NaN, and all other fields to zero.
@@ -113,13 +116,22 @@ class Struct:
 
     def get(self, name: str) -> Any:
         """Return a number, a text as bytes, or a view of an array of fixed size."""
-        return self._views[name][0]
+        return self.views[name][0]
 
     def attach(self, **arrays: NDArray[Any]) -> None:
-        """Set arrays of variable size; contiguous ones of the right type are not copied."""
+        """Set arrays of variable size.
+
+        Large contiguous ones of the right type, and those that the software writes, are not copied.
+        """
         for name, given in arrays.items():
-            array = self.arrays[name] = np.ascontiguousarray(given, self._kinds[name])
-            self._views[name][0] = address_of(array)
+            is_copied = given.size <= _MAX_COPIED and name not in self._written
+            current = self.arrays.get(name)
+            if is_copied and current is not None and current.shape == given.shape:
+                current[...] = given
+                continue
+            array = np.ascontiguousarray(given, self.kinds[name])
+            self.arrays[name] = array = array.copy() if is_copied else array
+            self.views[name][0] = address_of(array)
 
     def resize_list(self, name: str, count: int) -> list[Struct]:
         """Set the number of elements of a list of messages; return them with old contents."""
@@ -131,7 +143,7 @@ class Struct:
             of = next(f.type for f in self.message.fields if f.name == name)
             memory = np.zeros(count, dtype_of(of))
             elements[:] = [Struct(of, memory[k : k + 1]) for k in range(count)]
-        self._views[f"{name}_count"][0] = count
-        self._views[name][0] = elements[0].address if count else 0
+        self.views[f"{name}_count"][0] = count
+        self.views[name][0] = elements[0].address if count else 0
         self.parts[name] = elements[:count]
         return elements[:count]

@@ -18,6 +18,8 @@ ADDRESS_VARIABLE, TOKEN_VARIABLE = "LUNARSIM_ADDRESS", "LUNARSIM_TOKEN"
 # Maximum size of a message without its arrays, bytes.
 MAX_MESSAGE_BYTES = 2**26
 _LENGTH = struct.Struct("<I")
+# Number of bytes to receive at once.
+_RECEIVED_BYTES = 2**16
 _ALIGNMENT = 64
 _FIRST_SIZE = 2**20
 
@@ -33,7 +35,7 @@ class Channel:
     """
 
     def __init__(self, connection: socket.socket) -> None:
-        self._socket = connection
+        self._socket, self._received = connection, bytearray()
         if connection.family != socket.AF_UNIX:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
@@ -77,22 +79,24 @@ class Channel:
             raise WireError("a message is not readable") from None
 
     def _read(self, count: int, deadline: float | None) -> bytes:
-        data = bytearray()
-        while len(data) < count:
+        """Return the next bytes; what arrives with them is kept for the next call."""
+        while len(self._received) < count:
             left = None if deadline is None else deadline - time.monotonic()
             if left is not None and left <= 0.0:
                 raise TimeoutError
             self._socket.settimeout(left)
             try:
-                part = self._socket.recv(count - len(data))
+                part = self._socket.recv(_RECEIVED_BYTES)
             except TimeoutError:
                 raise
             except OSError as error:
                 raise WireError(f"the connection is closed ({error})") from None
             if not part:
                 raise WireError("the connection is closed")
-            data += part
-        return bytes(data)
+            self._received += part
+        data = bytes(self._received[:count])
+        del self._received[:count]
+        return data
 
     def close(self) -> None:
         """Close the connection."""
@@ -146,10 +150,11 @@ class SharedArrays:
         WireError
             If the array does not lie in the memory.
         """
-        end = offset + count * np.dtype(dtype).itemsize
+        size = np.dtype(dtype).itemsize
+        end = offset + count * size
         if end > self.size:
             self._map()
-        if end > self.size or offset % np.dtype(dtype).itemsize:
+        if end > self.size or offset % size:
             raise WireError("an array does not lie in the shared memory")
         return self._memory[offset:end].view(dtype)
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import socket
 import subprocess
 import tempfile
 import time
@@ -37,6 +39,28 @@ def _median_us(call: Callable[[], object], calls: int = _CALLS) -> float:
         call()
         times.append(time.perf_counter() - start)
     return 1e6 * float(np.median(times))
+
+
+def _round_trip() -> float:
+    """Return the time of 1.5 kB to another process and back over a socket, us."""
+    near, far = socket.socketpair()
+    child = os.fork()
+    if child == 0:
+        near.close()
+        while data := far.recv(65536):
+            far.sendall(data)
+        os._exit(0)
+    far.close()
+    data = bytes(1500)
+
+    def call() -> None:
+        near.sendall(data)
+        near.recv(65536)
+
+    spent = _median_us(call)
+    near.close()
+    os.waitpid(child, 0)
+    return spent
 
 
 def _image() -> Any:
@@ -74,6 +98,7 @@ def external() -> None:
             simulation.step()
         briefing, seen = simulation.briefing, simulation.estimate
         end, inputs = PhaseEnd(briefing.target), tap.exchanges[-1][0]
+        print(f"socket, 1.5 kB to another process and back: {_round_trip():.1f} us")
         parts = {
             "lunarsim's own law": EGuidanceLaw(),
             "library": LibraryGuidance(path=law, isolated=False),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lunarsim.frames import SiteToLocal
-from lunarsim.interface.structs import Struct, address_of
+from lunarsim.interface.structs import Struct
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.commands import Command, SensorTask
 from lunarsim.messages.measurements import Measurements
@@ -55,16 +55,14 @@ class ExternalComputer:
         self._writer = MeasurementWriter(tuple(briefing.instruments))
         self._names = tuple(briefing.instruments)
         self._given, self._answer = Struct("Measurements"), Struct("Command")
-        # All numbers of the command; indices of those that must be finite.
-        self._numbers = self._answer.buffer.view(np.float64)
-        origin = self._answer.address
-        self._required = np.concatenate([
-            (address_of(flat) - origin) // 8 + np.arange(flat.size)
+        # Numbers of the command that must be finite.
+        self._required = [
+            (name, part.views[name].reshape(-1))
             for part, names in (
                 (self._answer, _FINITE), (self._answer.parts["estimate"], _FINITE_ESTIMATE)
             )
-            for flat in (part.buffer[name].reshape(-1) for name in names)
-        ])  # fmt: skip
+            for name in names
+        ]  # fmt: skip
         self._command = Command(0.0, briefing.start.attitude)
         start = briefing.start
         self.estimate = Estimate(
@@ -113,14 +111,14 @@ class ExternalComputer:
         self._answer.clear()
         self._connection.step(self._given, self._answer)
         self._check()
-        answer = self._answer
+        answer, was_aborting = self._answer, self._command.abort
         self.estimate = read_estimate(answer.parts["estimate"])
-        site, left = np.array(answer.get("site")), float(answer.get("time_to_go"))
-        self.site = site if math.isfinite(site.sum()) else self.briefing.target
+        is_given = all(map(math.isfinite, answer.flat["site"].tolist()))
+        self.site = answer.get("site").copy() if is_given else self.briefing.target
+        left = answer.views["time_to_go"].item()
         self.time_to_go = left if math.isfinite(left) else 0.0
-        was_aborting = self._command.abort
         self._command = Command(
-            float(answer.get("thrust")), np.array(answer.get("attitude")), self._tasks(),
+            answer.views["thrust"].item(), answer.get("attitude").copy(), self._tasks(),
             bool(answer.get("abort")),
         )  # fmt: skip
         if self._command.abort and not was_aborting:
@@ -128,18 +126,12 @@ class ExternalComputer:
 
     def _check(self) -> None:
         """Raise SoftwareFailure unless the command is valid."""
+        wrong = [n for n, values in self._required if not all(map(math.isfinite, values.tolist()))]
+        if wrong:
+            raise self._failure(f"{' and '.join(wrong)}: not finite")
         answer, estimate = self._answer, self._answer.parts["estimate"]
-        if not np.isfinite(self._numbers[self._required]).all():
-            names = [
-                name
-                for part, names in ((answer, _FINITE), (estimate, _FINITE_ESTIMATE))
-                for name in names
-                if not np.isfinite(part.get(name)).all()
-            ]
-            raise self._failure(f"{' and '.join(names)}: not finite")
         for part in (answer, estimate):
-            attitude = part.get("attitude")
-            norm = math.sqrt(attitude.dot(attitude))
+            norm = math.hypot(*part.flat["attitude"].tolist())
             if not abs(norm - 1.0) < 1e-3:
                 raise self._failure(f"attitude has the norm {norm:g} instead of 1")
         if answer.get("thrust") < 0.0 or estimate.get("mass") <= 0.0:

@@ -76,8 +76,8 @@ def write_estimate(out: Struct, e: Estimate) -> None:
 
 def read_estimate(given: Struct) -> Estimate:
     """Return the estimate in a message `Estimate`."""
-    covariance = given.get("covariance").copy()
-    if not math.isfinite(covariance.sum()):
+    covariance, flat = given.get("covariance").copy(), given.flat["covariance"]
+    if not math.isfinite(flat.dot(flat)):
         covariance[:] = 0.0  # not written
     return Estimate(
         time=float(given.get("time")),
