@@ -16,7 +16,7 @@ NUMBERS: dict[str, type[np.generic]] = {
     "uint16": np.uint16, "uint8": np.uint8,
 }  # fmt: skip
 _POINTER = np.uint64
-# Arrays of variable size with at most so many elements are copied: faster than their addresses.
+# Maximum size of an array that is copied: for small ones, faster than taking the address.
 _MAX_COPIED = 256
 
 
