@@ -49,7 +49,7 @@ docs: $(STAMP)          ## the site, in out/docs/index.html
 lock:                   ## the tested versions of dependencies (without PyTorch), and their licences
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv "pip>=26"
 	$(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 --no-annotate \
-		$(foreach extra,ray report sensitivity data onnx fmi bench docs dev,--extra $(extra)) \
+		$(foreach extra,ray report sensitivity data onnx fmi view mcap mesh bench docs dev,--extra $(extra)) \
 		--custom-compile-command "make lock" pyproject.toml -o requirements.lock
 	$(BIN)/python scripts/licences_page.py > docs/about/licences.md
 
