@@ -56,15 +56,15 @@ SLOPES = (0.0, 0.5, 0.85, 1.15, np.inf)
 COVERS = (0.0, 0.002, 0.01, np.inf)
 
 
-def evaluate_scene(scene: LidarScene) -> SceneSites:
-    """Simulate a LiDAR scan of a scene; evaluate a random sample of its sites."""
+def evaluate_scene(scene: LidarScene, count: int = SITES) -> SceneSites:
+    """Simulate a LiDAR scan of a scene; evaluate a random sample of `count` sites."""
     terrain, grid, lander = scene.terrain(), scene.grid(), LANDERS[scene.lander]
     pool = SamplePool(grid)
     scan, position = scene.simulate_scan(terrain)
     pool.add(scan.points(position, UPRIGHT), scan.height_sigma(UPRIGHT), scan.spacing(UPRIGHT))
     evidence = dem_site_evidence(pooled_dem(pool), lander, RockExpectation())
     sites = np.flatnonzero(evidence.observed)
-    sites = scene.rng(4).choice(sites, min(SITES, len(sites)), replace=False)
+    sites = scene.rng(4).choice(sites, min(count, len(sites)), replace=False)
     where = np.zeros(grid.shape, bool)
     where.ravel()[sites] = True
     safe, where = site_safety(terrain, grid, lander, where=where)
