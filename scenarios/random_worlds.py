@@ -10,8 +10,11 @@ python scenarios/random_worlds.py --worlds 40 --jobs 2
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 from rich.table import Table
 from worst_case_maps import (
@@ -41,10 +44,26 @@ ROW_STRIDE = 2  # every second row of the map is evaluated
 BINS = np.linspace(0.0, 1.0, 21)
 
 
+def drawn_values(case: Case) -> dict[str, Any]:
+    """Return the values of a world: drawn at random, or from the file of the command line.
+
+    Raises
+    ------
+    InputError
+        If the file has no such world.
+    """
+    if case["file"] is None:
+        rng = np.random.default_rng([case.seed, case.number])
+        return SPACE.values(rng.uniform(size=len(SPACE.ranges)))
+    worlds = json.loads(Path(case["file"]).read_text())
+    if case.number >= len(worlds):
+        raise InputError("--file", case["file"], f"must have {case.number + 1} worlds or more")
+    return SPACE.nominal() | worlds[case.number]
+
+
 def measure(case: Case) -> dict[str, Any]:
     """Map one world; return the counts of sites and claims, by squares and by p_safe."""
-    rng = np.random.default_rng([case.seed, case.number])
-    values = SPACE.values(rng.uniform(size=len(SPACE.ranges)))
+    values = drawn_values(case)
     scenario = scenario_of(values)
     sequence = flight_seed(case.seed, case.number)
     streams = RandomStreams(sequence)
@@ -157,7 +176,20 @@ def print_worlds(report: Report, rows: list[dict[str, Any]], rng: np.random.Gene
     )
 
 
-study = Study(measure, repeats="worlds", count=40, seed=2026, report=print_test)
+study = Study(
+    measure,
+    repeats="worlds",
+    count=40,
+    seed=2026,
+    report=print_test,
+    options=(
+        click.Option(
+            ["--file"], type=click.Path(exists=True, dir_okay=False),
+            help="JSON file with a list of worlds, each with values of the searched keys; omitted "
+            "keys are nominal. Default: random worlds.",
+        ),
+    ),
+)  # fmt: skip
 
 if __name__ == "__main__":
     run_script(study)
