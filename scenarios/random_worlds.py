@@ -129,7 +129,7 @@ def print_test(report: Report) -> None:
     """Print claims and precision of all worlds, and the worlds that contradict the claim."""
     rng = np.random.default_rng(0)
     rows = [r for r in report.rows if "rejected" not in r]
-    table = Table(title=f"Claims on {len(rows)} random worlds")
+    table = Table(title=f"Claims on {len(rows)} worlds")
     for heading in ("p_safe above", "Worlds with claims", "Claimed, fraction of sites", "Recall",
                     "Precision", "95 % lower bound"):  # fmt: skip
         table.add_column(heading, justify="right")
