@@ -6,6 +6,10 @@ p_safe exceeds 0.95 (or 0.99) inside the domain. Neighbouring sites are not inde
 come from resampled worlds and squares of 5 m.
 
 python scenarios/random_worlds.py --worlds 40 --jobs 2
+python scenarios/random_worlds.py --worlds 20 --seed 77 --file scenarios/hostile_worlds.json
+
+The worlds in the file were chosen by a tester who knew the documentation, but not the code, and who
+tried to find worlds with unsafe claims.
 """
 
 from __future__ import annotations
