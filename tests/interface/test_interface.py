@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import subprocess
 from pathlib import Path
 
@@ -16,9 +17,11 @@ from lunarsim.interface.header import header, struct_name
 from lunarsim.interface.protobuf import from_protobuf, new_message, schema_text, to_protobuf
 from lunarsim.interface.structs import Struct, dtype_of
 from lunarsim.interface.wire import SharedArrays, WireError
+from lunarsim.onboard.external.failure import SoftwareFailure
 from tests.interface.software import compiler
 
 FOLDER = Path(lunarsim.__file__).parent / "interface"
+DOUBLES = ctypes.POINTER(ctypes.c_double)
 
 
 def filled(name: str, rng: np.random.Generator) -> Struct:
@@ -155,3 +158,51 @@ def test_shared_memory_grows_and_refuses_arrays_outside(tmp_path):
         reader.view(places[1], 10_000_000, np.float64)
     with pytest.raises(WireError, match="does not lie"):
         reader.view(3, 1, np.float64)
+
+
+def in_memory(struct: Struct, name: str, size: int) -> np.ndarray:
+    """Return what a C function reads at the pointer of an array of doubles."""
+    return np.ctypeslib.as_array(ctypes.cast(int(struct.get(name)), DOUBLES), (size,)).copy()
+
+
+def test_arrays_keep_their_values_while_their_sizes_change(tmp_path):
+    """Small arrays are copied, large ones addressed; both reach C and a process."""
+    rng = np.random.default_rng(1)
+    memory = SharedArrays(tmp_path / "arrays", is_owner=True)
+    reader = SharedArrays(tmp_path / "arrays", is_owner=False)
+    given, back = Struct("Candidates"), Struct("Candidates")
+    for count in (256, 257, 1, 256, 0, 86, 85, 300, 256, 2):
+        position, distance = rng.standard_normal((count, 3)), rng.random(2 * count)[::2]
+        value = rng.random(count).astype(np.float32)
+        given.attach(position=position, distance=distance, value=value)
+        memory.clear()
+        message = new_message("Candidates")
+        to_protobuf(given, message, memory)
+        from_protobuf(message, back, reader)
+        for struct in (given, back):
+            for name, array in (("position", position), ("distance", distance), ("value", value)):
+                if count:
+                    assert np.array_equal(in_memory(struct, name, array.size), array.ravel())
+                else:
+                    assert struct.get(name) == 0  # NULL
+
+
+def test_small_array_does_not_change_with_its_source():
+    out, source = Struct("Candidates"), np.arange(4.0)
+    for _ in range(2):
+        source[:] = np.arange(4.0)
+        out.attach(value=source)
+        source[:] = -1.0
+        assert np.array_equal(in_memory(out, "value", 4), np.arange(4.0))
+
+
+def test_text_ends_at_its_first_zero_byte():
+    answer, message = Struct("PolicyOutput"), new_message("PolicyOutput")
+    answer.set(reason=b"near\0rest of an older text")
+    to_protobuf(answer, message, SharedArrays)
+    assert answer.text("reason") == message.reason == "near"
+
+
+def test_failure_has_a_printable_description():
+    failure = SoftwareFailure("guidance", "error", "a\nb\0\x1b[31mc")
+    assert str(failure) == "external guidance: error: a b  [31mc"
