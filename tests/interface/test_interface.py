@@ -14,7 +14,13 @@ import lunarsim
 from lunarsim.cli import main
 from lunarsim.interface.definitions import MESSAGES, ROLES
 from lunarsim.interface.header import header, struct_name
-from lunarsim.interface.protobuf import from_protobuf, new_message, schema_text, to_protobuf
+from lunarsim.interface.protobuf import (
+    SizeError,
+    from_protobuf,
+    new_message,
+    schema_text,
+    to_protobuf,
+)
 from lunarsim.interface.structs import Struct, dtype_of
 from lunarsim.interface.wire import SharedArrays, WireError
 from lunarsim.onboard.external.failure import SoftwareFailure
@@ -189,11 +195,11 @@ def test_arrays_keep_their_values_while_their_sizes_change(tmp_path):
 
 def test_small_array_does_not_change_with_its_source():
     out, source = Struct("Candidates"), np.arange(4.0)
-    for _ in range(2):
-        source[:] = np.arange(4.0)
+    for first in (0.0, 5.0):
+        source[:] = first + np.arange(4.0)
         out.attach(value=source)
         source[:] = -1.0
-        assert np.array_equal(in_memory(out, "value", 4), np.arange(4.0))
+        assert np.array_equal(in_memory(out, "value", 4), first + np.arange(4.0))
 
 
 def test_text_ends_at_its_first_zero_byte():
@@ -206,3 +212,23 @@ def test_text_ends_at_its_first_zero_byte():
 def test_failure_has_a_printable_description():
     failure = SoftwareFailure("guidance", "error", "a\nb\0\x1b[31mc")
     assert str(failure) == "external guidance: error: a b  [31mc"
+
+
+def test_fixed_arrays_of_a_program_may_be_absent_but_not_too_long():
+    message, answer = new_message("Command"), Struct("Command")
+    answer.set(attitude=(0.0, 0.0, 0.0, 1.0))
+    from_protobuf(message, answer, SharedArrays)
+    assert np.isnan(answer.get("attitude")).all()
+    for _ in range(9):
+        message.task.add()
+    with pytest.raises(SizeError, match="at most 8"):
+        from_protobuf(message, answer, SharedArrays)
+
+
+def test_list_of_a_program_becomes_empty_again():
+    given, message = Struct("Measurements"), new_message("Measurements")
+    message.altimeter_reading.add().range = 5.0
+    from_protobuf(message, given, SharedArrays)
+    assert given.parts["altimeter_reading"][0].get("range") == 5.0
+    from_protobuf(new_message("Measurements"), given, SharedArrays)
+    assert given.get("altimeter_reading_count") == given.get("altimeter_reading") == 0
