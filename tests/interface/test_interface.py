@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+import socket
 import subprocess
+import time
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +24,7 @@ from lunarsim.interface.protobuf import (
     to_protobuf,
 )
 from lunarsim.interface.structs import Struct, dtype_of
-from lunarsim.interface.wire import SharedArrays, WireError
+from lunarsim.interface.wire import Channel, SharedArrays, WireError
 from lunarsim.onboard.external.failure import SoftwareFailure
 from tests.interface.software import compiler
 
@@ -232,3 +234,24 @@ def test_list_of_a_program_becomes_empty_again():
     assert given.parts["altimeter_reading"][0].get("range") == 5.0
     from_protobuf(new_message("Measurements"), given, SharedArrays)
     assert given.get("altimeter_reading_count") == given.get("altimeter_reading") == 0
+
+
+def test_messages_are_received_one_by_one_and_in_time():
+    ours, theirs = socket.socketpair()
+    sender, receiver, message = Channel(theirs), Channel(ours), new_message("Reply")
+    for error in ("first", "second"):
+        message.error = error
+        sender.send(message)
+    for error in ("first", "second"):
+        receiver.receive(message, time.monotonic() + 5.0)
+        assert message.error == error
+    # The deadline also ends a message that arrives slowly.
+    theirs.sendall(b"\x10\0")
+    start = time.monotonic()
+    for deadline in (start + 0.05, start - 1.0):
+        with pytest.raises(TimeoutError):
+            receiver.receive(message, deadline)
+    assert time.monotonic() - start < 5.0
+    theirs.close()
+    with pytest.raises(WireError, match="closed"):
+        receiver.receive(message)
