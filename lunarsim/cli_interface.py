@@ -84,7 +84,10 @@ def replay_calls(record: Path, software: Path, arguments: tuple[str, ...], deadl
         if software.suffix in (".so", ".fmu")
         else program_arguments(software.resolve(), arguments)
     )
-    connection = ProcessConnection(command, calls.role, calls.briefing, deadline=deadline)
+    try:
+        connection = ProcessConnection(command, calls.role, calls.briefing, deadline=deadline)
+    except InputError as error:
+        raise InputError("SOFTWARE", str(software), error.problem, error.remedy) from None
     try:
         found = replay(calls, connection)
     except SoftwareFailure as failure:

@@ -337,13 +337,14 @@ _ROLES = (
         "the estimate behind them.", (
             _number("thrust", "thrust; 0 shuts the engine down", "N"),
             _quaternion("attitude", "commanded attitude"),
-            _flag("abort", "the lander aborts and climbs away"),
-            _count("task_count", "number of valid elements of `task`, at most 8"),
+            _flag("abort", "the lander aborts and climbs away with these commands"),
+            _count("task_count", "number of valid elements of `task`, at most 8, one per sensor"),
             Field("task", "SensorTask", "measurement tasks", shape=(8,)),
             Field("estimate", "Estimate", "estimated state; attitude control starts from its "
-                  "attitude and mass, all else is recorded"),
-            _vector("site", "landing site that the lander flies to, for the record", "m"),
-            _number("time_to_go", "time until the end of the approach, for the record", "s"),
+                  "attitude and mass, all else is recorded; time and covariance are optional"),
+            _vector("site", "landing site that the lander flies to, for the record; optional", "m"),
+            _number("time_to_go", "time until the end of the approach, for the record; optional",
+                    "s"),
         )),
     Message("GuidanceInput", "Input of the role `guidance`.", (
         _count("phase", "`GuidancePhase`"),

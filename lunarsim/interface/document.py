@@ -91,7 +91,7 @@ has the role, the reason and a description. A campaign continues with its next f
 | `timeout` | no answer within `deadline_s` |
 | `error` | the software reported an error |
 | `invalid-output` | a number that must be finite is not, or a value is out of range |
-| `protocol` | a message is not readable, or an array has a wrong size |
+| `protocol` | a message is not readable or was not requested, or an array has a wrong size |
 
 ## Values
 """

@@ -279,12 +279,12 @@ LUNARSIM_CHECK(sizeof(LunarsimSensorTask) == 80, "size of LunarsimSensorTask");
 typedef struct {
     double thrust; /* thrust; 0 shuts the engine down, N */
     double attitude[4]; /* commanded attitude: quaternion, body to local frame, scalar last */
-    uint32_t abort; /* 1 if the lander aborts and climbs away, otherwise 0 */
-    uint32_t task_count; /* number of valid elements of `task`, at most 8 */
+    uint32_t abort; /* 1 if the lander aborts and climbs away with these commands, otherwise 0 */
+    uint32_t task_count; /* number of valid elements of `task`, at most 8, one per sensor */
     LunarsimSensorTask task[8]; /* measurement tasks */
-    LunarsimEstimate estimate; /* estimated state; attitude control starts from its attitude and mass, all else is recorded */
-    double site[3]; /* landing site that the lander flies to, for the record (local frame), m */
-    double time_to_go; /* time until the end of the approach, for the record, s */
+    LunarsimEstimate estimate; /* estimated state; attitude control starts from its attitude and mass, all else is recorded; time and covariance are optional */
+    double site[3]; /* landing site that the lander flies to, for the record; optional (local frame), m */
+    double time_to_go; /* time until the end of the approach, for the record; optional, s */
 } LunarsimCommand;
 LUNARSIM_CHECK(sizeof(LunarsimCommand) == 1496, "size of LunarsimCommand");
 

@@ -163,7 +163,7 @@ def to_protobuf(struct: Struct, message: Any, memory: Memory) -> None:
     for name in plan.vectors:
         getattr(message, name).extend(struct.flat[name].tolist())
     for name in plan.texts:
-        setattr(message, name, bytes(struct.get(name)).decode("utf-8", "replace"))
+        setattr(message, name, struct.text(name))
     for name in plan.messages:
         to_protobuf(parts[name], getattr(message, name), memory)
     for name in plan.blocks:

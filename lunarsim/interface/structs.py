@@ -118,6 +118,10 @@ class Struct:
         """Return a number, a text as bytes, or a view of an array of fixed size."""
         return self.views[name][0]
 
+    def text(self, name: str) -> str:
+        """Return a text up to its first zero byte."""
+        return bytes(self.get(name)).partition(b"\0")[0].decode("utf-8", "replace")
+
     def attach(self, **arrays: NDArray[Any]) -> None:
         """Set arrays of variable size.
 
@@ -131,7 +135,7 @@ class Struct:
                 continue
             array = np.ascontiguousarray(given, self.kinds[name])
             self.arrays[name] = array = array.copy() if is_copied else array
-            self.views[name][0] = address_of(array)
+            self.views[name][0] = address_of(array) if array.size else 0
 
     def resize_list(self, name: str, count: int) -> list[Struct]:
         """Set the number of elements of a list of messages; return them with old contents."""

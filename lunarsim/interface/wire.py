@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import mmap
 import os
 import socket
@@ -45,10 +46,15 @@ class Channel:
         Raises
         ------
         WireError
-            If the other side has closed the connection.
+            If the other side has closed the connection, or has sent more than it was asked for.
         TimeoutError
             If the other side does not read the message before the deadline.
         """
+        self._socket.settimeout(0.0)
+        with contextlib.suppress(OSError):  # there is nothing to receive
+            self._received += self._socket.recv(_RECEIVED_BYTES)
+        if self._received:
+            raise WireError("a message arrived before its request")
         data = message.SerializeToString()
         left = None if deadline is None else max(deadline - time.monotonic(), 1e-3)
         self._socket.settimeout(left)

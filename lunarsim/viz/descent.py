@@ -146,7 +146,7 @@ def _draw_phases_and_diverts(
     `marks` has label, marker, colour and times of each kind of event.
     """
     t = flight.trajectory
-    axes.set_xlim(0.0, t["time"][-1])
+    axes.set_xlim(0.0, t["time"][-1] or None)
     axes.grid(alpha=0.3)
     for label, _, colour, times in marks:
         for i, time in enumerate(times if label == _DIVERT_STYLE[0] else ()):

@@ -60,6 +60,8 @@ def answer(fault: str, connection: socket.socket) -> None:
     if fault == "long":
         connection.sendall(struct.pack("<I", 2**31))
         return
+    if fault == "twice":
+        send(connection, reply.SerializeToString())
     if fault == "half":
         connection.sendall(struct.pack("<I", 100) + b"\0" * 10)
         time.sleep(3600.0)

@@ -150,12 +150,26 @@ def test_recorded_calls_are_repeated_byte_for_byte_without_a_simulation(tmp_path
     code, text = replayed(record, library("faulty_software.c"))
     assert code == 1
     assert "call 0: the answer differs in acceleration" in text
+    code, text = replayed(record, library("roles.c"))
+    assert code == 2
+    assert text.startswith("error: SOFTWARE: must define the function lunarsim_guidance_init")
     cut = tmp_path / "cut.messages"
     cut.write_bytes(record.read_bytes()[:-3])
     assert replayed(cut, path)[0] == 2
     assert replayed(tmp_path / "none", path)[0] == 2
     cut.write_bytes(b"\xff" * 100)
     assert replayed(cut, path)[0] == 2
+
+
+def test_record_without_an_answer_is_refused(tmp_path):
+    fails_at_once = in_library("faulty_software.c", configuration="crash at once")
+    messages = tmp_path / "messages"
+    Simulation(small(guidance=fails_at_once), 4, "no-divert", messages=messages).run()
+    found = CliRunner().invoke(main, [
+        "interface", "replay", str(messages / "guidance.messages"), str(library("e_guidance.c")),
+    ])  # fmt: skip
+    assert found.exit_code == 2
+    assert "must have at least one answer" in found.output
 
 
 def test_mapper_and_policy_calls_are_repeated_with_their_arrays(tmp_path):

@@ -54,7 +54,7 @@ def with_library(fault: str, **settings: object) -> Scenario:
     )
 
 
-def fly_to_failure(scenario: Scenario) -> dict[str, object]:
+def fly_to_failure(scenario: Scenario, time: float = 4.0) -> dict[str, object]:
     """Fly a scenario that must fail; return the event of the failure."""
     before, folders = children(), left_over()
     flight = Simulation(scenario, 1, "no-divert").run()
@@ -63,7 +63,7 @@ def fly_to_failure(scenario: Scenario) -> dict[str, object]:
     (event,) = [e for e in flight.events if e["name"] == "software-failed"]
     assert event["role"] == "guidance"
     # The first 20 calls were good.
-    assert event["time"] == pytest.approx(4.0, abs=1e-9)
+    assert event["time"] == pytest.approx(time, abs=1e-9)
     assert f"{event['role']}: {event['reason']}: {event['detail']}" in str(flight)
     assert children() <= before
     assert left_over() <= folders
@@ -89,6 +89,12 @@ def test_failure_of_a_program_ends_the_flight_with_its_reason(fault, reason, det
     event = fly_to_failure(program(fault))
     assert event["reason"] == reason
     assert detail in event["detail"]
+
+
+def test_second_answer_to_a_call_is_not_the_answer_to_the_next_one():
+    event = fly_to_failure(program("twice"), time=4.2)
+    assert event["reason"] == "protocol"
+    assert "before its request" in event["detail"]
 
 
 @pytest.mark.parametrize("fault", ["hang", "late", "half"])

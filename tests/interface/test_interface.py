@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
+import socket
 import subprocess
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +16,20 @@ import lunarsim
 from lunarsim.cli import main
 from lunarsim.interface.definitions import MESSAGES, ROLES
 from lunarsim.interface.header import header, struct_name
-from lunarsim.interface.protobuf import from_protobuf, new_message, schema_text, to_protobuf
+from lunarsim.interface.protobuf import (
+    SizeError,
+    from_protobuf,
+    new_message,
+    schema_text,
+    to_protobuf,
+)
 from lunarsim.interface.structs import Struct, dtype_of
-from lunarsim.interface.wire import SharedArrays, WireError
+from lunarsim.interface.wire import Channel, SharedArrays, WireError
+from lunarsim.onboard.external.failure import SoftwareFailure
 from tests.interface.software import compiler
 
 FOLDER = Path(lunarsim.__file__).parent / "interface"
+DOUBLES = ctypes.POINTER(ctypes.c_double)
 
 
 def filled(name: str, rng: np.random.Generator) -> Struct:
@@ -155,3 +166,92 @@ def test_shared_memory_grows_and_refuses_arrays_outside(tmp_path):
         reader.view(places[1], 10_000_000, np.float64)
     with pytest.raises(WireError, match="does not lie"):
         reader.view(3, 1, np.float64)
+
+
+def in_memory(struct: Struct, name: str, size: int) -> np.ndarray:
+    """Return what a C function reads at the pointer of an array of doubles."""
+    return np.ctypeslib.as_array(ctypes.cast(int(struct.get(name)), DOUBLES), (size,)).copy()
+
+
+def test_arrays_keep_their_values_while_their_sizes_change(tmp_path):
+    """Small arrays are copied, large ones addressed; both reach C and a process."""
+    rng = np.random.default_rng(1)
+    memory = SharedArrays(tmp_path / "arrays", is_owner=True)
+    reader = SharedArrays(tmp_path / "arrays", is_owner=False)
+    given, back = Struct("Candidates"), Struct("Candidates")
+    for count in (256, 257, 1, 256, 0, 86, 85, 300, 256, 2):
+        position, distance = rng.standard_normal((count, 3)), rng.random(2 * count)[::2]
+        value = rng.random(count).astype(np.float32)
+        given.attach(position=position, distance=distance, value=value)
+        memory.clear()
+        message = new_message("Candidates")
+        to_protobuf(given, message, memory)
+        from_protobuf(message, back, reader)
+        for struct in (given, back):
+            for name, array in (("position", position), ("distance", distance), ("value", value)):
+                if count:
+                    assert np.array_equal(in_memory(struct, name, array.size), array.ravel())
+                else:
+                    assert struct.get(name) == 0  # NULL
+
+
+def test_small_array_does_not_change_with_its_source():
+    out, source = Struct("Candidates"), np.arange(4.0)
+    for first in (0.0, 5.0):
+        source[:] = first + np.arange(4.0)
+        out.attach(value=source)
+        source[:] = -1.0
+        assert np.array_equal(in_memory(out, "value", 4), first + np.arange(4.0))
+
+
+def test_text_ends_at_its_first_zero_byte():
+    answer, message = Struct("PolicyOutput"), new_message("PolicyOutput")
+    answer.set(reason=b"near\0rest of an older text")
+    to_protobuf(answer, message, SharedArrays)
+    assert answer.text("reason") == message.reason == "near"
+
+
+def test_failure_has_a_printable_description():
+    failure = SoftwareFailure("guidance", "error", "a\nb\0\x1b[31mc")
+    assert str(failure) == "external guidance: error: a b  [31mc"
+
+
+def test_fixed_arrays_of_a_program_may_be_absent_but_not_too_long():
+    message, answer = new_message("Command"), Struct("Command")
+    answer.set(attitude=(0.0, 0.0, 0.0, 1.0))
+    from_protobuf(message, answer, SharedArrays)
+    assert np.isnan(answer.get("attitude")).all()
+    for _ in range(9):
+        message.task.add()
+    with pytest.raises(SizeError, match="at most 8"):
+        from_protobuf(message, answer, SharedArrays)
+
+
+def test_list_of_a_program_becomes_empty_again():
+    given, message = Struct("Measurements"), new_message("Measurements")
+    message.altimeter_reading.add().range = 5.0
+    from_protobuf(message, given, SharedArrays)
+    assert given.parts["altimeter_reading"][0].get("range") == 5.0
+    from_protobuf(new_message("Measurements"), given, SharedArrays)
+    assert given.get("altimeter_reading_count") == given.get("altimeter_reading") == 0
+
+
+def test_messages_are_received_one_by_one_and_in_time():
+    ours, theirs = socket.socketpair()
+    sender, receiver, message = Channel(theirs), Channel(ours), new_message("Reply")
+    for error in ("first", "second"):
+        message.error = error
+        sender.send(message)
+    for error in ("first", "second"):
+        receiver.receive(message, time.monotonic() + 5.0)
+        assert message.error == error
+    # The deadline also ends a message that arrives slowly.
+    theirs.sendall(b"\x10\0")
+    start = time.monotonic()
+    for deadline in (start + 0.05, start - 1.0):
+        with pytest.raises(TimeoutError):
+            receiver.receive(message, deadline)
+    assert time.monotonic() - start < 5.0
+    theirs.close()
+    with pytest.raises(WireError, match="closed"):
+        receiver.receive(message)

@@ -152,9 +152,12 @@ class ExternalComputer:
                 self._names[sensor] not in self.briefing.software.tasking
             ):
                 raise self._failure(f"a task names sensor {sensor}, which has no [tasking] table")
-            if not np.allclose(mount @ mount.T, np.eye(3), atol=1e-6):
+            is_rotation = np.allclose(mount @ mount.T, np.eye(3), atol=1e-6)
+            if not is_rotation or np.linalg.det(mount) < 0.0:
                 raise self._failure("the mount of a task is not a rotation")
             tasks.append(SensorTask(self._names[sensor], mount))
+        if len({task.sensor for task in tasks}) < count:
+            raise self._failure("two tasks name the same sensor")
         return tuple(tasks)
 
     def command(self) -> Command:

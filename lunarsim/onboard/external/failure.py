@@ -19,9 +19,10 @@ class SoftwareFailure(Exception):  # noqa: N818  (the failure of a simulated com
         "error" (the software reported an error), "invalid-output" (for instance NaN), "protocol"
         (a message that does not follow the interface).
     detail
-        Description for the record.
+        Description for the record; characters that cannot be printed become spaces.
     """
 
     def __init__(self, role: str, reason: Reason, detail: str) -> None:
+        detail = "".join(one if one.isprintable() else " " for one in detail)
         super().__init__(f"external {role}: {reason}: {detail}")
         self.role, self.reason, self.detail = role, reason, detail

@@ -44,7 +44,7 @@ class ExternalPolicy:
         self._answer.clear()
         self._connection.step(self._given, self._answer)
         action, site = int(self._answer.get("action")), np.array(self._answer.get("site"))
-        reason = bytes(self._answer.get("reason")).decode("utf-8", "replace") or "external"
+        reason = self._answer.text("reason") or "external"
         if action == PolicyAction.KEEP:
             return Decision.keep(reason)
         if action == PolicyAction.ABORT:

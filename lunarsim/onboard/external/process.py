@@ -204,8 +204,8 @@ class ProcessConnection:
         """Send the request and receive the reply, at the latest at `deadline` (s)."""
         try:
             self._channel.send(self._request, deadline)
-        except WireError:
-            raise self._death() from None
+        except WireError as error:
+            raise self._broken(error) from None
         except TimeoutError:
             raise self._failure("timeout", "the program does not read its messages") from None
         self._receive(deadline)
@@ -221,9 +221,11 @@ class ProcessConnection:
                 raise self._death() from None
             raise self._failure("timeout", "no answer within the deadline") from None
         except WireError as error:
-            if "closed" in str(error):
-                raise self._death() from None
-            raise self._failure("protocol", str(error)) from None
+            raise self._broken(error) from None
+
+    def _broken(self, error: WireError) -> SoftwareFailure:
+        """Return the failure of a program whose connection has an error."""
+        return self._death() if "closed" in str(error) else self._failure("protocol", str(error))
 
     def _failure(self, reason: Any, detail: str) -> SoftwareFailure:
         return SoftwareFailure(self.role, reason, detail)

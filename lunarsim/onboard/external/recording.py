@@ -157,6 +157,8 @@ def read_record(path: Path) -> RecordedCalls:
         raise InputError("record", str(path), "must be a record of messages") from None
     if first.interface_version != VERSION or first.role not in ROLES:
         raise InputError("record", str(path), f"must have interface version {VERSION}")
+    if len(parts) == 2:
+        raise InputError("record", str(path), "must have at least one answer")
     if len(parts) % 4 != 2:
         raise InputError("record", str(path), "must be complete; its last call is cut off")
     briefing, given = Struct("Briefing"), Struct(ROLES[first.role].input)
