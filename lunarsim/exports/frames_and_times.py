@@ -1,0 +1,145 @@
+"""Frames and times of exported files."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.frames import matrix_to_quat, quat_multiply
+from lunarsim.models.gravity import RoundMoon
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Flight
+from lunarsim.typing import Array
+
+# Names of the frames in CCSDS files. MOON_ME: mean Earth and polar axis, in which lunar latitudes
+# and longitudes are counted.
+SITE_FRAME_NAME, MOON_FRAME_NAME = "LUNARSIM_SITE_ENU", "MOON_ME"
+SITE_FRAME_COMMENTS = (
+    f"{SITE_FRAME_NAME} is a Cartesian frame fixed to the terrain: x east, y north, z up.",
+    "Its origin is the centre of the terrain at its mean elevation, on the surface of the Moon.",
+)
+# Dates outside these years do not fit in the time stamps of MCAP, or are no dates of a landing.
+_FIRST_YEAR, _LAST_YEAR = 1970, 2250
+_EPOCH = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d{1,9})?Z?")
+
+
+def parse_epoch(text: str) -> np.datetime64:
+    """Return an epoch, ISO 8601 in UTC, as a date with nanoseconds.
+
+    Raises
+    ------
+    InputError
+        If the text is not a date and time from 1970 to 2250.
+    """
+    try:
+        if not _EPOCH.fullmatch(text):
+            raise ValueError
+        found = np.datetime64(text.removesuffix("Z"), "ns")
+        is_allowed = _FIRST_YEAR <= int(text[:4]) <= _LAST_YEAR
+    except ValueError:
+        is_allowed = False
+    if not is_allowed:
+        raise InputError(
+            "--epoch", text,
+            f"must be a date and time from {_FIRST_YEAR} to {_LAST_YEAR} such as "
+            "2027-03-01T12:00:00",
+        )  # fmt: skip
+    return found
+
+
+def dates(epoch: np.datetime64, time: Array) -> NDArray[np.datetime64]:
+    """Return the dates (n,) of times (n,), s, since the epoch, in nanoseconds."""
+    return np.asarray(epoch + np.round(1e9 * time).astype("timedelta64[ns]"))
+
+
+@dataclass(frozen=True)
+class ExportFrame:
+    """Frame of exported states: the site frame, or the frame fixed to the Moon.
+
+    Attributes
+    ----------
+    moon
+        Sphere of the scenario; None: the frame is the site frame.
+    longitude
+        Longitude of the origin of the site frame, rad.
+    """
+
+    moon: RoundMoon | None = None
+    longitude: float = 0.0
+
+    @classmethod
+    def of(cls, flight: Flight, longitude_deg: float | None) -> ExportFrame:
+        """Return the frame for a longitude, deg; None: the site frame.
+
+        Raises
+        ------
+        InputError
+            If a longitude is given but the scenario has no table [moon], or it is out of range.
+        """
+        if longitude_deg is None:
+            return cls()
+        if not -180.0 <= longitude_deg <= 360.0:
+            raise InputError("--longitude", longitude_deg, "must be between -180 and 360 deg")
+        table = Scenario.world_from_toml(flight.scenario).moon
+        if table is None:
+            raise InputError(
+                "--longitude", longitude_deg,
+                "must be omitted, because the scenario has no table [moon] with a latitude",
+                "Omit it to export the site frame.",
+            )  # fmt: skip
+        return cls(table.make(), float(np.deg2rad(longitude_deg)))
+
+    @property
+    def name(self) -> str:
+        """Name of the frame in CCSDS files."""
+        return SITE_FRAME_NAME if self.moon is None else MOON_FRAME_NAME
+
+    @property
+    def comments(self) -> tuple[str, ...]:
+        """Sentences that define the frame."""
+        if self.moon is None:
+            return SITE_FRAME_COMMENTS
+        latitude, longitude = np.rad2deg([self.moon.latitude, self.longitude])
+        return (
+            f"{MOON_FRAME_NAME}: origin at the centre of a spherical Moon, fixed to the Moon.",
+            f"Origin of the site frame: latitude {latitude:.9g} deg, longitude {longitude:.9g} deg "
+            f"east, radius {self.moon.radius:.9g} m.",
+        )
+
+    @cached_property
+    def rotation(self) -> Array:
+        """Matrix (3, 3) from the site frame to this frame."""
+        if self.moon is None:
+            return np.eye(3)
+        (c, s), (cl, sl) = (
+            (np.cos(angle), np.sin(angle)) for angle in (self.moon.latitude, self.longitude)
+        )
+        east, north, up = (-sl, cl, 0.0), (-s * cl, -s * sl, c), (c * cl, c * sl, s)
+        return np.column_stack((east, north, up))
+
+    def positions(self, positions: Array) -> Array:
+        """Convert positions (n, 3), m, from the site frame to this frame."""
+        if self.moon is None:
+            return positions
+        return np.asarray((positions + np.array([0.0, 0.0, self.moon.radius])) @ self.rotation.T)
+
+    def vectors(self, vectors: Array) -> Array:
+        """Rotate vectors (n, 3) from the site frame to this frame."""
+        return vectors if self.moon is None else np.asarray(vectors @ self.rotation.T)
+
+    def attitudes(self, attitudes: Array) -> Array:
+        """Convert quaternions (n, 4), body to site frame, to body to this frame."""
+        if self.moon is None:
+            return attitudes
+        turn = np.broadcast_to(matrix_to_quat(self.rotation), attitudes.shape)
+        return quat_multiply(turn, attitudes)
+
+    def covariances(self, covariances: Array) -> Array:
+        """Rotate covariances (n, 6, 6) of position and velocity to this frame."""
+        turn = np.kron(np.eye(2), self.rotation)
+        return np.asarray(turn @ covariances @ turn.T)
