@@ -105,14 +105,13 @@ def _write_raster(elevation: NDArray[np.float32], grid: Grid, out: Path) -> None
     """Write elevations (rows, cols), row 0 south, m, as a GeoTIFF, row 0 north."""
     import rasterio  # noqa: PLC0415  (loads slowly)
     from rasterio.io import MemoryFile  # noqa: PLC0415
-    from rasterio.transform import from_origin  # noqa: PLC0415
 
     west, _, _, north = grid.extent
     frame = rasterio.CRS.from_wkt('LOCAL_CS["lunarsim site frame, ENU",UNIT["metre",1.0]]')
     with MemoryFile() as memory:
         with memory.open(
             driver="GTiff", width=grid.cols, height=grid.rows, count=1, dtype="float32",
-            crs=frame, transform=from_origin(west, north, grid.posting, grid.posting),
+            crs=frame, transform=rasterio.Affine(grid.posting, 0.0, west, 0.0, -grid.posting, north),
             nodata=np.nan, compress="deflate", predictor=3,
         ) as file:  # fmt: skip
             file.write(elevation[::-1], 1)
@@ -130,7 +129,10 @@ def _write_mesh(terrain: Terrain, grid: Grid, out: Path) -> None:
         colours = np.tile(np.array([grey, grey, grey, 255], np.uint8), (len(vertices), 1))
         return trimesh.Trimesh(vertices, faces, vertex_colors=colours, process=False)
 
-    parts = {"terrain": mesh(*relief_mesh(Terrain(terrain.relief).raster(grid), grid), 150)}
+    relief = terrain.relief
+    # Interpolation would widen gaps in the relief.
+    elevation = relief.z if grid == relief.grid else Terrain(relief).raster(grid)
+    parts = {"terrain": mesh(*relief_mesh(elevation, grid), 150)}
     if len(terrain.rocks):
         parts["rocks"] = mesh(*rock_mesh(terrain.rocks), 110)
     if out.suffix.lower() == ".ply":

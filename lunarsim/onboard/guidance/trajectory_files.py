@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
+from lunarsim.csv_columns import MAX_ROWS, read_csv_columns, read_text_lines
 from lunarsim.errors import InputError, error_reason
 from lunarsim.onboard.guidance.reference_trajectory import ReferenceTrajectory
+from lunarsim.typing import Array
 
-# Limits of a file from others: size, bytes, and number of states (2.8 hours at 10 Hz).
-_MAX_BYTES, _MAX_STATES = 2**26, 100_000
 # Frame of the positions in an OEM, as `lunarsim export --format oem` writes it.
 SITE_FRAME_NAME = "LUNARSIM_SITE_ENU"
 # Columns of a CSV file with their units, as `lunarsim export --format csv` writes them.
@@ -22,7 +22,6 @@ _COLUMNS = (
     *((f"position_{axis}", "m") for axis in "xyz"),
     *((f"velocity_{axis}", "m/s") for axis in "xyz"),
 )
-_HEADING = re.compile(r"\s*(.*?)\s*\(([^()]*)\)\s*")
 _DATE = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?Z?")
 
 
@@ -34,46 +33,34 @@ def load_trajectory(path: Path) -> ReferenceTrajectory:
     InputError
         If the file is missing, too large or invalid; the error names the field "path".
     """
-    readers = {".oem": _oem_rows, ".csv": _csv_rows}
-    if path.suffix.lower() not in readers:
+    suffix = path.suffix.lower()
+    if suffix not in (".oem", ".csv"):
         raise InputError("path", str(path), "must be a file name that ends in .oem or .csv")
-    if not path.is_file():
-        raise InputError("path", str(path), "must be an existing file")
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise ValueError(f"it is larger than {_MAX_BYTES // 2**20} MiB")
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-        rows = []
-        for row in readers[path.suffix.lower()](lines):
-            rows.append(row)
-            if len(rows) > _MAX_STATES:
-                raise ValueError(f"it has more than {_MAX_STATES} states")
-    except (ValueError, OSError, csv.Error) as error:
+        table = _read_csv(path) if suffix == ".csv" else _read_oem(path)
+    except (ValueError, OSError) as error:
         reason = error_reason(error)
         raise InputError(
             "path", str(path), f"must be a valid trajectory, because {reason}"
         ) from None
-    table = np.array(rows, dtype=np.float64).reshape(-1, 7)
     try:
         return ReferenceTrajectory(table[:, 0], table[:, 1:4], table[:, 4:])
     except InputError as error:
-        raise InputError("path", f"{path}: {error.value}", error.problem, error.remedy) from None
+        where = f"{path}: {error.value}"
+        raise InputError("path", where, error.problem, error.remedy) from None
 
 
-def _csv_rows(lines: list[str]) -> Iterator[list[float]]:
-    """Yield time, position and velocity of each line; the header has names and units."""
-    reader = csv.reader(lines)
-    header = next(reader, [])
-    found = {m[1]: (k, m[2]) for k, text in enumerate(header) if (m := _HEADING.fullmatch(text))}
-    for name, unit in _COLUMNS:
-        if name not in found:
-            raise ValueError(f"the header has no column '{name} ({unit})'")
-        if found[name][1] != unit:
-            raise ValueError(f"the column {name} has the unit {found[name][1]!r} instead of {unit}")
-    columns = [found[name][0] for name, _ in _COLUMNS]
-    for cells in reader:
-        if cells:
-            yield _numbers([cells[k] if k < len(cells) else "" for k in columns], reader.line_num)
+def _read_csv(path: Path) -> Array:
+    """Return time, position and velocity (n, 7) of a CSV file, s, m, m/s."""
+    return np.column_stack(list(read_csv_columns(path, _COLUMNS).values()))
+
+
+def _read_oem(path: Path) -> Array:
+    """Return time, position and velocity (n, 7) of an OEM, s, m, m/s."""
+    rows = list(islice(_oem_rows(read_text_lines(path)), MAX_ROWS + 1))
+    if len(rows) > MAX_ROWS:
+        raise ValueError(f"it has more than {MAX_ROWS} states")
+    return np.array(rows, dtype=np.float64).reshape(-1, 7)
 
 
 def _oem_rows(lines: list[str]) -> Iterator[list[float]]:
