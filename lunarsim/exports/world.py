@@ -111,8 +111,8 @@ def _write_raster(elevation: NDArray[np.float32], grid: Grid, out: Path) -> None
     with MemoryFile() as memory:
         with memory.open(
             driver="GTiff", width=grid.cols, height=grid.rows, count=1, dtype="float32",
-            crs=frame, transform=rasterio.Affine(grid.posting, 0.0, west, 0.0, -grid.posting, north),
-            nodata=np.nan, compress="deflate", predictor=3,
+            crs=frame, nodata=np.nan, compress="deflate", predictor=3,
+            transform=rasterio.Affine(grid.posting, 0.0, west, 0.0, -grid.posting, north),
         ) as file:  # fmt: skip
             file.write(elevation[::-1], 1)
             file.units = ("m",)
