@@ -7,7 +7,7 @@ from pathlib import Path
 from lunarsim.atomic_files import atomic_write_text
 from lunarsim.exports import ccsds
 from lunarsim.exports.formats import ExportOptions
-from lunarsim.exports.frames_and_times import ExportFrame, dates, parse_epoch
+from lunarsim.exports.frames_and_times import ExportFrame, dates, epoch_date
 from lunarsim.exports.states import states_of
 from lunarsim.frames import normalised
 from lunarsim.simulation import Flight
@@ -21,7 +21,7 @@ def write_aem(flight: Flight, out: Path, options: ExportOptions) -> None:
     """
     frame = ExportFrame.of(flight, options.longitude)
     states = states_of(flight, options.state)
-    when = ccsds.date_texts(dates(parse_epoch(options.epoch), states.time))
+    when = ccsds.date_texts(dates(epoch_date(options), states.time))
     name = ccsds.object_name(flight)
     notes = [
         *ccsds.comments(flight, frame, options),

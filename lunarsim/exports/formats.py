@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib
+import re
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -15,6 +17,9 @@ if TYPE_CHECKING:
 
 # Epoch of the start of a flight if none is given (J2000.0 as a date): scenarios have no date.
 DEFAULT_EPOCH = "2000-01-01T12:00:00"
+_EPOCH = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(\.\d{1,9})?Z?")
+# Other years do not fit in the time stamps of MCAP.
+_FIRST_YEAR, _LAST_YEAR = 1970, 2250
 
 
 @dataclass(frozen=True)
@@ -58,11 +63,40 @@ class ExportOptions:
         Longitude of the origin of the site frame, deg, positive east. It is used in scenarios with
         a table [moon], which gives the latitude: OEM and AEM then use the frame that is fixed to
         the Moon. None: the site frame.
+
+    Raises
+    ------
+    InputError
+        If the epoch is no date and time from 1970 to 2250, the state is unknown, or the longitude
+        is not between -180 and 360 deg.
     """
 
     epoch: str = DEFAULT_EPOCH
     state: Literal["true", "estimate"] = "true"
     longitude: float | None = None
+
+    def __post_init__(self) -> None:
+        if not _is_epoch(self.epoch):
+            raise InputError(
+                "--epoch", self.epoch,
+                f"must be a date and time from {_FIRST_YEAR} to {_LAST_YEAR} such as "
+                "2027-03-01T12:00:00",
+            )  # fmt: skip
+        if self.state not in ("true", "estimate"):
+            raise InputError("--state", self.state, "must be true or estimate")
+        if self.longitude is not None and not -180.0 <= self.longitude <= 360.0:
+            raise InputError("--longitude", self.longitude, "must be between -180 and 360 deg")
+
+
+def _is_epoch(text: str) -> bool:
+    """Return whether a text is a date and time in UTC within the allowed years."""
+    found = _EPOCH.fullmatch(text)
+    try:
+        return found is not None and (
+            _FIRST_YEAR <= datetime.fromisoformat(found[1]).year <= _LAST_YEAR
+        )
+    except ValueError:
+        return False
 
 
 _CCSDS_OPTIONS = ("epoch", "state", "longitude")

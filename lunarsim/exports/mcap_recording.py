@@ -15,7 +15,7 @@ from lunarsim.atomic_files import atomic_write
 from lunarsim.errors import missing_package
 from lunarsim.exports.ccsds import object_name
 from lunarsim.exports.formats import ExportOptions
-from lunarsim.exports.frames_and_times import dates, parse_epoch
+from lunarsim.exports.frames_and_times import dates, epoch_date
 from lunarsim.exports.local_frame import local_frame_error, scans_in_site_frame
 from lunarsim.exports.states import states_of
 from lunarsim.scenario import Scenario
@@ -41,7 +41,7 @@ def write_mcap(flight: Flight, out: Path, options: ExportOptions) -> None:
     ):  # fmt: skip
         if find_spec(module) is None:
             raise missing_package("--format", package, "mcap")
-    epoch = parse_epoch(options.epoch)
+    epoch = epoch_date(options)
     stream = io.BytesIO()
     recording = _Recording(stream, epoch)
     recording.add_poses(flight)

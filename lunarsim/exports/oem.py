@@ -10,7 +10,7 @@ import numpy as np
 from lunarsim.atomic_files import atomic_write_text
 from lunarsim.exports import ccsds
 from lunarsim.exports.formats import ExportOptions
-from lunarsim.exports.frames_and_times import ExportFrame, dates, parse_epoch
+from lunarsim.exports.frames_and_times import ExportFrame, dates, epoch_date
 from lunarsim.exports.states import states_of
 from lunarsim.simulation import Flight
 from lunarsim.typing import Array
@@ -22,12 +22,12 @@ _KM = 1e-3
 def write_oem(flight: Flight, out: Path, options: ExportOptions) -> None:
     """Write positions and velocities of a flight as an OEM.
 
-    The estimated state has the covariance of position and velocity in each row in which it is
-    finite.
+    The estimated state has the covariance of position and velocity at each time at which it is
+    finite and not zero.
     """
     frame = ExportFrame.of(flight, options.longitude)
     states = states_of(flight, options.state)
-    when = ccsds.date_texts(dates(parse_epoch(options.epoch), states.time))
+    when = ccsds.date_texts(dates(epoch_date(options), states.time))
     name = ccsds.object_name(flight)
     lines = ccsds.header("OEM", "2.0") + ccsds.metadata(
         (
@@ -46,7 +46,8 @@ def write_oem(flight: Flight, out: Path, options: ExportOptions) -> None:
 
 def _covariance_lines(when: list[str], covariances: Array) -> Iterator[str]:
     """Yield the covariance block: lower triangles of matrices (n, 6, 6) in m and m/s."""
-    known = np.asarray(np.isfinite(covariances).all(axis=(1, 2)))
+    # External software that states no covariance has one of zeros.
+    known = np.asarray(np.isfinite(covariances).all(axis=(1, 2)) & covariances.any(axis=(1, 2)))
     if not known.any():
         return
     yield from ("", "COVARIANCE_START")

@@ -47,10 +47,8 @@ def states_of(flight: Flight, kind: Literal["true", "estimate"]) -> States:
     Raises
     ------
     InputError
-        If the kind is unknown, or the flight has no such state.
+        If the flight has no such state.
     """
-    if kind not in ("true", "estimate"):
-        raise InputError("--state", kind, "must be true or estimate")
     table = flight.trajectory if kind == "true" else flight.navigation
     if not table:
         raise InputError(

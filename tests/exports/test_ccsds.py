@@ -195,6 +195,9 @@ def test_values_that_are_not_finite_are_omitted(flight, tmp_path):
     assert len(time) == len(table["time"]) - 3
     assert len(list(segment.covariances)) == len(table["time"]) - 5
     assert "nan" not in (tmp_path / "a.oem").read_text()
+    zero = {n: 0.0 * v if n.startswith("covariance") else v for n, v in flight.navigation.items()}
+    path = export_flight(replace(flight, navigation=zero), "oem", tmp_path / "a.oem", options)
+    assert "COVARIANCE" not in path.read_text()
     table["attitude_w"][:] = np.nan
     with pytest.raises(InputError, match="no value is finite"):
         export_flight(changed, "oem", tmp_path / "a.oem", options)
