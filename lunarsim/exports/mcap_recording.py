@@ -16,7 +16,7 @@ from lunarsim.errors import missing_package
 from lunarsim.exports.ccsds import object_name
 from lunarsim.exports.formats import ExportOptions
 from lunarsim.exports.frames_and_times import dates, epoch_date
-from lunarsim.exports.local_frame import local_frame_error, scans_in_site_frame
+from lunarsim.exports.local_frame import scans_in_site_frame
 from lunarsim.exports.states import states_of
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Flight
@@ -108,20 +108,19 @@ class _Recording:
         lander = Scenario.world_from_toml(flight.scenario).vehicle.make()
         start = self._date(0.0)
         self._write("/scene", start, self._messages.lander_scene(start, lander, flight.target))
+        # The error of the map belongs to all sites that were chosen on it.
         for decision in flight.decisions:
             when = self._date(decision["time"])
-            site = decision["to"] - local_frame_error(flight, np.array([decision["time"]]))[0]
+            site = np.asarray(decision["to"]) - flight.map_error
             self._write("/scene", when, self._messages.site_scene(when, site))
         found = flight.candidates.astype(np.float64)
         found = found[np.isfinite(found[:, :4]).all(axis=1)]
         if len(found):
-            time = flight.decisions[-1]["time"] if flight.decisions else flight.duration
-            error = local_frame_error(flight, np.array([time]))
-            when = self._date(time)
-            self._write(
-                "/scene", when,
-                self._messages.candidate_scene(when, found[:, :3] - error, found[:, 3]),
-            )  # fmt: skip
+            when = self._date(flight.decisions[-1]["time"] if flight.decisions else flight.duration)
+            scene = self._messages.candidate_scene(
+                when, found[:, :3] - flight.map_error, found[:, 3]
+            )
+            self._write("/scene", when, scene)
 
     def add_scans(self, flight: Flight) -> None:
         """Add one point cloud per recorded scan, in the site frame."""

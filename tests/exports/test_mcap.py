@@ -176,6 +176,10 @@ def test_the_scene_has_lander_target_and_candidates(recording, flight):
     candidates = entities["candidates"].spheres
     assert len(candidates) == len(flight.candidates)
     k = int(np.argmax(flight.candidates[:, 3]))
+    expected = flight.candidates[k, :3] - flight.map_error
+    assert vector(candidates[k].pose.position) == pytest.approx(expected, abs=1e-5)
+    last = flight.decisions[-1]["to"] - flight.map_error
+    assert vector(entities["site"].spheres[0].pose.position) == pytest.approx(last, abs=1e-9)
     assert candidates[k].color.g == pytest.approx(flight.candidates[k, 3], abs=1e-6)
 
 
