@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -42,8 +41,16 @@ def write_mcap(flight: Flight, out: Path, options: ExportOptions) -> None:
         if find_spec(module) is None:
             raise missing_package("--format", package, "mcap")
     epoch = epoch_date(options)
-    stream = io.BytesIO()
-    recording = _Recording(stream, epoch)
+
+    def write(part: Path) -> None:
+        with part.open("wb") as file:
+            _record(flight, _Recording(file, epoch))
+
+    atomic_write(out, write)
+
+
+def _record(flight: Flight, recording: _Recording) -> None:
+    """Write all messages of a flight."""
     recording.add_poses(flight)
     recording.add_scene(flight)
     recording.add_scans(flight)
@@ -55,13 +62,12 @@ def write_mcap(flight: Flight, out: Path, options: ExportOptions) -> None:
             recording.add_table(table, columns)
     recording.add_events(flight)
     recording.finish(flight)
-    atomic_write(out, lambda part: part.write_bytes(stream.getbuffer()))
 
 
 class _Recording:
     """Writer of one recording; it registers schemas and topics at their first message."""
 
-    def __init__(self, stream: io.BytesIO, epoch: np.datetime64) -> None:
+    def __init__(self, stream: IO[bytes], epoch: np.datetime64) -> None:
         from mcap.writer import Writer  # noqa: PLC0415  (optional package)
 
         from lunarsim.exports import foxglove_messages  # noqa: PLC0415  (optional package)
