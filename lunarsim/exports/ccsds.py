@@ -46,7 +46,10 @@ def comments(flight: Flight, frame: ExportFrame, options: ExportOptions) -> list
 
 def object_name(flight: Flight) -> str:
     """Return the name of the scenario as one printable word."""
-    name = str(tomllib.loads(flight.scenario).get("name", "lander"))
+    try:
+        name = str(tomllib.loads(flight.scenario).get("name", "lander"))
+    except tomllib.TOMLDecodeError:  # a record from others
+        name = "lander"
     word = "".join(c if c.isascii() and (c.isalnum() or c in "-.") else "_" for c in name)
     return word[:60] or "lander"
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 DEFAULT_EPOCH = "2000-01-01T12:00:00"
 _EPOCH = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(\.\d{1,9})?Z?")
 # Other years do not fit in the time stamps of MCAP.
-_FIRST_YEAR, _LAST_YEAR = 1970, 2250
+_FIRST_YEAR, _LAST_YEAR = 1971, 2250
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class ExportOptions:
     Raises
     ------
     InputError
-        If the epoch is no date and time from 1970 to 2250, the state is unknown, or the longitude
+        If the epoch is no date and time from 1971 to 2250, the state is unknown, or the longitude
         is not between -180 and 360 deg.
     """
 

@@ -23,6 +23,8 @@ SITE_FRAME_COMMENTS = (
     f"{SITE_FRAME_NAME} is a Cartesian frame fixed to the terrain: x east, y north, z up.",
     "Its origin is the centre of the terrain at its mean elevation, on the surface of the Moon.",
 )
+# Maximum time of a record, s (116 days), so that dates keep their nanoseconds.
+_MAX_TIME_S = 1e7
 
 
 def epoch_date(options: ExportOptions) -> np.datetime64:
@@ -31,7 +33,18 @@ def epoch_date(options: ExportOptions) -> np.datetime64:
 
 
 def dates(epoch: np.datetime64, time: Array) -> NDArray[np.datetime64]:
-    """Return the dates (n,) of times (n,), s, since the epoch, in nanoseconds."""
+    """Return the dates (n,) of times (n,), s, since the epoch, in nanoseconds.
+
+    Raises
+    ------
+    InputError
+        If a time is not finite, or impossible for a flight.
+    """
+    wrong = ~(np.abs(time) <= _MAX_TIME_S)
+    if wrong.any():
+        raise InputError(
+            "flight", time[wrong][0], f"must contain only times of at most {_MAX_TIME_S:g} s"
+        )
     return np.asarray(epoch + np.round(1e9 * time).astype("timedelta64[ns]"))
 
 

@@ -159,3 +159,25 @@ def test_formats_that_do_not_exist(flight, tmp_path):
         export_flight(flight, "oem", tmp_path / "a.oem", ExportOptions(state="both"))  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"--out: must be a file name that ends in \.tif or \.ply"):
         export_flight(flight, "world", tmp_path / "a.obj")
+
+
+@pytest.mark.parametrize("time", [np.nan, np.inf, 1e300, -1e300])
+def test_impossible_times_are_refused(flight, tmp_path, time):
+    table = {name: values.copy() for name, values in flight.commands.items()}
+    table["time"][3] = time
+    event = {"time": time, "name": "touchdown"}
+    for changed in ({"commands": table}, {"events": [event]}):
+        with pytest.raises(InputError, match="flight: must contain only times of at most 1e"):
+            export_flight(dataclasses.replace(flight, **changed), "mcap", tmp_path / "a.mcap")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_scenario_that_is_not_toml(flight, tmp_path):
+    broken = dataclasses.replace(flight, scenario="[[[")
+    for name in ("oem", "aem", "matlab"):
+        assert export_flight(broken, name, output(tmp_path, name)).is_file()
+    for name in ("mcap", "world"):
+        with pytest.raises(InputError, match="TOML"):
+            export_flight(broken, name, output(tmp_path, name))
+    with pytest.raises(InputError, match="TOML"):
+        export_flight(broken, "oem", tmp_path / "b.oem", ExportOptions(longitude=1.0))
