@@ -30,6 +30,7 @@ from lunarsim.cli_common import (
     wide_console,
 )
 from lunarsim.cli_evaluate import evaluate
+from lunarsim.cli_export import export
 from lunarsim.cli_interface import interface
 from lunarsim.cli_scenario import parts, scenario
 from lunarsim.cli_start import INTERRUPTED, run
@@ -60,7 +61,8 @@ def main() -> None:
 
 
 for _command in (
-    agent, campaign, sweep, replay, terrain, scenario, vehicle, parts, evaluate, study, interface
+    agent, campaign, sweep, replay, terrain, scenario, vehicle, parts, evaluate, study, interface,
+    export,
 ):  # fmt: skip
     main.add_command(_command)
 

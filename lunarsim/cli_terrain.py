@@ -153,3 +153,40 @@ def truth(
         f"{out}: {grid.rows} x {grid.cols} cells, {100 * maps.safe.mean():.1f} % truly safe, "
         f"{100 * (maps.rock >= 0).mean():.1f} % rock, {100 * maps.shadow.mean():.1f} % in shadow"
     )
+
+
+@terrain.command()
+@scenario_options
+@SEED
+@FLIGHT
+@click.option(
+    "--posting", type=float, default=None, show_default="grid spacing of the terrain",
+    help="Spacing of the grid points (m).",
+)  # fmt: skip
+@click.option(
+    "--rocks/--no-rocks", default=True, show_default=True, help="Whether the file has the rocks."
+)
+@click.option(
+    "--out", type=PATH, required=True,
+    help="File to write: GeoTIFF (.tif) of the elevation, or mesh (.ply or .glb).",
+)  # fmt: skip
+def export(
+    scenario: Path, changes: tuple[str, ...], seed: int, flight: int, posting: float | None,
+    rocks: bool, out: Path,
+) -> None:  # fmt: skip
+    """Write SCENARIO's terrain as a GeoTIFF or a mesh.
+
+    Coordinates are those of the site frame (x east, y north, z up, m); glTF (.glb) has y up. A
+    scenario with [terrain] kind = "dtm" can fly over the GeoTIFF.
+    """
+    from lunarsim.exports.formats import FORMATS, check_export_output
+    from lunarsim.exports.world import write_world
+    from lunarsim.rng import RandomStreams, flight_seed
+    from lunarsim.simulation.worlds import build_world
+
+    check_export_output(FORMATS["world"], out)
+    loaded = load_scenario(scenario, changes, is_flown=False)
+    world = build_world(loaded, RandomStreams(flight_seed(seed, flight)))
+    points = write_world(world.terrain, out, posting, has_rocks=rocks)
+    count = len(world.terrain.rocks) if rocks else 0
+    click.echo(f"{out}: {points} grid points, {count} rocks")

@@ -27,6 +27,8 @@ for line in sys.stdin:
 """
 COMMANDS = """terrain truth tiny.toml --size 40 --posting 0.2 --out left/truth.nc
 terrain preview tiny.toml --out left/preview.png
+terrain export tiny.toml --out left/world.tif
+terrain export tiny.toml --out left/world.glb
 render tiny.toml --altitude 60 --out left/image.png --truth left/truth.npz
 fly tiny.toml --policy safest --out left/flight
 scenario new hirise --out left/new.toml

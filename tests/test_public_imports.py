@@ -10,6 +10,7 @@ import pytest
 
 import lunarsim
 import lunarsim.api
+import lunarsim.exports
 import lunarsim.interface
 import lunarsim.search
 import lunarsim.studies
@@ -19,6 +20,7 @@ from tests.worlds import ROOT
 PUBLIC = {
     "lunarsim": set(lunarsim.__all__) | {"__version__", "api"},
     "lunarsim.api": set(lunarsim.api.__all__),
+    "lunarsim.exports": set(lunarsim.exports.__all__),
     "lunarsim.interface": set(lunarsim.interface.__all__),
     "lunarsim.search": set(lunarsim.search.__all__),
     "lunarsim.studies": set(lunarsim.studies.__all__),

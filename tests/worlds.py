@@ -122,5 +122,6 @@ TAKE_A_SCENARIO = {
     "fly": [], "compare": ["--out", "new"], "calibrate": ["--out", "new.json"],
     "render": ["--out", "new.png"], "sweep": ["--out", "new", "--over", "sun.elevation_deg=5,6"],
     "scenario check": [], "terrain preview": ["--out", "new.png"],
-    "terrain truth": ["--out", "new.nc"], "vehicle check": ["--json", "new.json"],
+    "terrain export": ["--out", "new.tif"], "terrain truth": ["--out", "new.nc"],
+    "vehicle check": ["--json", "new.json"],
 }  # fmt: skip

@@ -42,8 +42,9 @@ class Contract:
     required_members: tuple[str, ...]
 
 
-# Kinds of external software; each needs a file.
-EXTERNAL_KINDS = ("library", "fmu", "process")
+# Kinds that need a file and have no usable defaults: external software, and guidance along a given
+# trajectory.
+FILE_KINDS = ("library", "fmu", "process", "trajectory")
 # Field names that the settings tables use themselves.
 RESERVED = {"kind", "make", "model_config", "copy", "json", "dict"}
 
@@ -156,6 +157,7 @@ CONTRACTS: dict[str, Contract] = {
             "information-seeking": (
                 "lunarsim.onboard.active_perception.guidance:InformationSeekingLaw"
             ),
+            "trajectory": "lunarsim.onboard.guidance.trajectory_law:TrajectoryLaw",
             "library": "lunarsim.onboard.external.guidance:LibraryGuidance",
             "fmu": "lunarsim.onboard.external.guidance:LibraryGuidance",
             "process": "lunarsim.onboard.external.guidance:ProcessGuidance",
@@ -200,11 +202,12 @@ CONTRACTS: dict[str, Contract] = {
 }
 
 
-def kinds(contract: str, *, with_external: bool = True) -> dict[str, str]:
+def kinds(contract: str, *, with_files: bool = True) -> dict[str, str]:
     """Return the registered components of a category: name to "module:Class".
 
     `contract` is a key of `CONTRACTS`, such as "policy". Components of other installed packages
-    are included. `with_external` states whether external software is included, which needs a file.
+    are included. `with_files` states whether kinds that need a file are included, such as external
+    software.
 
     Raises
     ------
@@ -226,7 +229,7 @@ def kinds(contract: str, *, with_external: bool = True) -> dict[str, str]:
                 f"Give {point.value} another entry-point name: {found[point.name]} has this one.",
             )
         found[point.name] = point.value
-    return found if with_external else {k: v for k, v in found.items() if k not in EXTERNAL_KINDS}
+    return found if with_files else {k: v for k, v in found.items() if k not in FILE_KINDS}
 
 
 @cache

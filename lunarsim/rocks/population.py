@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from lunarsim.errors import InputError
 from lunarsim.parts.quantity import quantity
 from lunarsim.rocks.field import RockModel
+from lunarsim.rocks.rock_file import GivenRocks, load_rocks
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,9 @@ class RockPopulation(RockModel):
     fillet_height_ratio
         Height of the soil banked against rocks over their exposed height. Fillets are part of the
         relief and need a grid spacing that is a fraction of a rock's size.
+    path
+        CSV file with rocks at given places, in the frame of the terrain, which replace random
+        rocks. Shapes and burial are random.
     cube_area
         Area that a cube of side D contributes to the cover. "square": D^2, as Golombek counts the
         covered area; "disc": pi D^2 / 4, so that cubes cover 4 / pi times the nominal cover, as in
@@ -60,6 +65,12 @@ class RockPopulation(RockModel):
         help="height of the soil banked against a rock, divided by the rock's exposed height; 0: "
         "none",
     )
+    path: Path | None = quantity(
+        None,
+        help="CSV file with rocks at given places, relative to the scenario file; its header has "
+        "the columns x (m), y (m), diameter (m) and, if known, height (m); omitted: random rocks, "
+        "otherwise the keys of number, sizes and clusters of random rocks are not used",
+    )
     cube_area: Literal["square", "disc"] = quantity(
         "square",
         help="area that a cube of side D contributes to the rock cover: square (D^2) or disc (pi "
@@ -68,12 +79,23 @@ class RockPopulation(RockModel):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        self.given_rocks()
         if self.min_diameter >= self.max_diameter:
             raise InputError(
                 "min_diameter",
                 self.min_diameter,
                 f"must be less than max_diameter_m, which is {self.max_diameter:g} m",
             )
+
+    def given_rocks(self) -> GivenRocks | None:
+        """Read the rocks at given places; None if `path` is omitted.
+
+        Raises
+        ------
+        InputError
+            If the file is missing or invalid.
+        """
+        return None if self.path is None else load_rocks(self.path)
 
     @property
     def disc_area_ratio(self) -> float:

@@ -18,6 +18,7 @@ class RocksTable(PartSettings):
     max_diameter_m: float
     min_block_crater_diameter_m: float
     min_diameter_m: float
+    path: Path | str | None
     shape: Literal["hemisphere", "ellipsoid", "cube", "irregular", "mixed"]
 
 class RocksChanges(TypedDict, total=False):
@@ -31,6 +32,7 @@ class RocksChanges(TypedDict, total=False):
     max_diameter_m: float
     min_block_crater_diameter_m: float
     min_diameter_m: float
+    path: Path | str | None
     shape: Literal["hemisphere", "ellipsoid", "cube", "irregular", "mixed"]
 
 class SunTable(PartSettings):
@@ -574,6 +576,7 @@ class GuidanceTable(SelectedPart):
     arguments: tuple[str, ...]
     candidates: int
     configuration: str
+    damping: float
     deadline_s: float
     frequency_rad_s: float
     gain: float
@@ -584,7 +587,10 @@ class GuidanceTable(SelectedPart):
     isolated: bool
     iterations: int
     jerk_m_s3: float
+    max_end_offset_m: float
     max_final_tilt_deg: float
+    max_start_offset_m: float
+    max_start_velocity_error_m_s: float
     min_rock_diameter_m: float
     min_time_to_go_s: float
     nodes_per_side: int
@@ -596,6 +602,7 @@ class GuidanceTable(SelectedPart):
     thrust_tolerance: float
     tilt_rate_deg_s: float
     tilt_tolerance_deg: float
+    time_constant_s: float
     transport: Literal["unix", "tcp"]
 
 class GuidanceChanges(TypedDict, total=False):
@@ -603,6 +610,7 @@ class GuidanceChanges(TypedDict, total=False):
     arguments: tuple[str, ...]
     candidates: int
     configuration: str
+    damping: float
     deadline_s: float
     frequency_rad_s: float
     gain: float
@@ -613,7 +621,10 @@ class GuidanceChanges(TypedDict, total=False):
     isolated: bool
     iterations: int
     jerk_m_s3: float
+    max_end_offset_m: float
     max_final_tilt_deg: float
+    max_start_offset_m: float
+    max_start_velocity_error_m_s: float
     min_rock_diameter_m: float
     min_time_to_go_s: float
     nodes_per_side: int
@@ -625,6 +636,7 @@ class GuidanceChanges(TypedDict, total=False):
     thrust_tolerance: float
     tilt_rate_deg_s: float
     tilt_tolerance_deg: float
+    time_constant_s: float
     transport: Literal["unix", "tcp"]
 
 class ControlTable(SelectedPart):

@@ -168,7 +168,7 @@ study = Study(
     fly,
     repeats="flights",
     count=20,
-    factors={"law": list(kinds("guidance", with_external=False))},
+    factors={"law": list(kinds("guidance", with_files=False))},
     factor_help={"law": "Guidance law to fly."},
     metrics={
         "safe": Metric("safe landings\n[95 % interval]", "share"),

@@ -100,7 +100,7 @@ study = Study(
     count=1,
     options=(
         click.Option(
-            ["--law"], type=click.Choice(list(kinds("guidance", with_external=False))),
+            ["--law"], type=click.Choice(list(kinds("guidance", with_files=False))),
             default="apollo", show_default=True,
             help="Guidance law whose reachable landing area is plotted.",
         ),

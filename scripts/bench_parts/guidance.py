@@ -105,9 +105,7 @@ def guidance() -> None:
     end = PhaseEnd(np.array([0.0, 0.0, 12.0]), np.array([0.0, 0.0, -2.0]))
     # The optimal law is not a closed form: `bench.py optimal` measures it.
     laws = {
-        k: resolve("guidance", k)()
-        for k in kinds("guidance", with_external=False)
-        if k != "optimal"
+        k: resolve("guidance", k)() for k in kinds("guidance", with_files=False) if k != "optimal"
     }
     starts = _states(lander)
     line = np.linspace(-200.0, 200.0, 100)

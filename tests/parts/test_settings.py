@@ -159,7 +159,7 @@ def test_every_part_of_the_package_has_a_table_that_comes_back(contract, kind):
     assert kind in kinds(contract)
     of = resolve(contract, kind)
     table = settings_of(of)
-    if kind in ("dtm", "library", "fmu", "process"):  # they need a path
+    if kind in ("dtm", "library", "fmu", "process", "trajectory"):  # they need a path
         with pytest.raises(InputError, match="path"):
             table().make()
         return

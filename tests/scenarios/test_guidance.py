@@ -21,7 +21,7 @@ def test_propellant_of_laws_is_compared_with_the_optimum(script, capsys):
     printed = capsys.readouterr().out
     assert "relative to the optimum" in printed
     rows = {row["law"]: row for row in flown}
-    assert set(rows) == set(kinds("guidance", with_external=False))
+    assert set(rows) == set(kinds("guidance", with_files=False))
     assert len({row["optimum"] for row in rows.values()}) == 1
     apollo, optimal, neural = (rows[law] for law in ("apollo", "optimal", "neural-optimal"))
     assert apollo["safe"] and optimal["safe"] and rows["information-seeking"]["safe"]

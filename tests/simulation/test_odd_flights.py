@@ -18,7 +18,7 @@ from lunarsim.world.terrain_models.interface import add_rocks
 
 LAWS = [
     kind
-    for kind in kinds("guidance", with_external=False)
+    for kind in kinds("guidance", with_files=False)
     if kind not in {"neural-optimal", "information-seeking"}
 ]
 

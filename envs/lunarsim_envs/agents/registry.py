@@ -42,8 +42,8 @@ def known_agents() -> dict[str, str]:
     """
     names = dict.fromkeys(BUILT_IN, "built in")
     names |= dict.fromkeys(packaged_agents(), "trained network")
-    names |= dict.fromkeys(kinds("guidance", with_external=False), "guidance law")
-    return names | dict.fromkeys(kinds("policy", with_external=False), "policy")
+    names |= dict.fromkeys(kinds("guidance", with_files=False), "guidance law")
+    return names | dict.fromkeys(kinds("policy", with_files=False), "policy")
 
 
 def _named(given: str) -> tuple[str, str]:
@@ -148,7 +148,7 @@ def agent_of(agent: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = F
         return _network_agent(env, packaged_agents()[agent], agent)
     return (
         GuidanceLawAgent(env, agent)
-        if agent in kinds("guidance", with_external=False)
+        if agent in kinds("guidance", with_files=False)
         else PolicyAgent(env, agent)
     )
 

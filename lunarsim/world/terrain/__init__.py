@@ -6,7 +6,7 @@ from lunarsim.world.terrain.fillets import add_fillets
 from lunarsim.world.terrain.fine_relief import add_fine_roughness
 from lunarsim.world.terrain.hazard_field import hazard_field
 from lunarsim.world.terrain.heightfield import Heightfield
-from lunarsim.world.terrain.placement import CraterClusters, place_rocks
+from lunarsim.world.terrain.placement import CraterClusters, place_given_rocks, place_rocks
 from lunarsim.world.terrain.relief import add_detail, fractal_relief
 from lunarsim.world.terrain.terrain import RayHits, Terrain
 
@@ -24,5 +24,6 @@ __all__ = [
     "crater_profile",
     "fractal_relief",
     "hazard_field",
+    "place_given_rocks",
     "place_rocks",
 ]

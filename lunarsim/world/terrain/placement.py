@@ -1,17 +1,19 @@
-"""Random placement of rocks on the relief."""
+"""Placement of rocks on the relief, at random or at given places."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.rocks.field import RockField, RockModel
+from lunarsim.rocks.rock_file import GivenRocks
 from lunarsim.typing import Array
 from lunarsim.world.terrain._placement_kernels import drop_rocks
 from lunarsim.world.terrain.heightfield import Heightfield
+from lunarsim.world.terrain.terrain import Terrain
 
 # Outer limit of the blocks around a crater, crater radii.
 _MAX_CLUSTER_RADII = 5.0
@@ -126,3 +128,42 @@ def place_rocks(
         field.yaw[order],
         field.shape[order],
     )
+
+
+def place_given_rocks(
+    relief: Heightfield, given: GivenRocks, rng: np.random.Generator, model: RockModel
+) -> RockField:
+    """Place rocks with given positions and diameters on a relief.
+
+    Parameters
+    ----------
+    relief
+        Relief on which the rocks are placed.
+    given
+        Positions, diameters and exposed heights.
+    rng
+        Source of shapes, burial and directions, and of the heights that are not given.
+    model
+        Shapes and burial.
+
+    Raises
+    ------
+    InputError
+        If a rock is outside the relief or over no-data.
+    """
+    elevation = Terrain(relief).elevation(np.column_stack((given.x, given.y)))
+    lost = np.flatnonzero(~np.isfinite(elevation))
+    if len(lost):
+        k = int(lost[0])
+        raise InputError(
+            "rocks.path", f"({given.x[k]:g}, {given.y[k]:g}) m",
+            f"must contain only rocks on the terrain, because {len(lost)} of {len(given.x)} are "
+            "not on it",
+        )  # fmt: skip
+    field = model.draw(given.diameter, rng)
+    exposed = field.height + field.base
+    scale = np.where(np.isnan(given.height), 1.0, given.height / exposed)
+    return replace(
+        field, x=given.x, y=given.y, base=elevation + scale * field.base,
+        height=scale * field.height,
+    )  # fmt: skip

@@ -17,6 +17,7 @@ from lunarsim.world.terrain import (
     Heightfield,
     Terrain,
     add_fillets,
+    place_given_rocks,
     place_rocks,
 )
 from lunarsim.world.terrain.placement import NO_CLUSTERS
@@ -42,7 +43,7 @@ def add_rocks(
     streams: RandomStreams,
     craters: Callable[[], AgedCraters] | None = None,
 ) -> Terrain:
-    """Return the terrain of one flight: relief with rocks sampled at random.
+    """Return the terrain of one flight: relief with random rocks or with given rocks.
 
     Parameters
     ----------
@@ -59,11 +60,15 @@ def add_rocks(
     Raises
     ------
     InputError
-        If the rocks do not fit, or cluster around craters that are not known.
+        If the rocks do not fit or are not on the terrain, or cluster around craters that are not
+        known.
     """
     west, east, south, north = relief.bounds
     field = RockField.empty()
-    if rocks.cover > 0.0:
+    given = rocks.given_rocks()
+    if given is not None:
+        field = place_given_rocks(relief, given, streams.get("rocks"), rocks.model())
+    elif rocks.cover > 0.0:
         rng = streams.get("rocks")
         area = rocks.disc_area_ratio * (east - west) * (north - south)
         diameters = sample_diameters(area, rocks.cover, rocks.min_diameter, rocks.max_diameter, rng)

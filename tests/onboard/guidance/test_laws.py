@@ -37,7 +37,7 @@ APART = {"optimal", "neural-optimal", "information-seeking"}  # these have tests
 LAWS = [
     *(
         resolve("guidance", kind)()
-        for kind in kinds("guidance", with_external=False)
+        for kind in kinds("guidance", with_files=False)
         if kind not in APART
     ),
     AugmentedApolloLaw(gain=14.0), FractionalPolynomialLaw(gamma=0.2, gain=5.0),

@@ -91,7 +91,7 @@ def test_nothing_in_reach_keeps(policy):
 
 def test_policies_go_by_the_names_of_the_registry():
     """But the one that is told the truth, which lives with the loop."""
-    for name, where in kinds("policy", with_external=False).items():
+    for name, where in kinds("policy", with_files=False).items():
         assert resolve("policy", name)().name == name, where
 
 
