@@ -224,18 +224,6 @@ class Recorder:
             if self._update_times.get(name, -np.inf) > first.time and not mapper.is_empty
         }  # fmt: skip
         decided = computer.decision_map_name
-        name = "touchdown" if outcome.touchdown else "end"
-        last: list[dict[str, Any]] = [
-            {"time": computer.time, "name": name, "failure_causes": list(outcome.failure_causes)}
-            | (ending or {})
-        ]
-        if outcome.failure_causes == ("unfinished",):
-            last = []
-        telemetry = [
-            {"time": time, "name": name, **more}
-            for time, name, more in computer.telemetry[first.telemetry :]
-        ]
-        faults = [event for event in fault_events if event["time"] > first.time]
         return Flight(
             scenario=scenario,
             seed=seed,
@@ -250,10 +238,7 @@ class Recorder:
             if len(actuators)
             else {},
             decisions=[_as_dict(*divert) for divert in computer.diverts[first.diverts :]],
-            events=sorted(
-                [*faults, *self._sensor_events[first.events :], *telemetry, *last],
-                key=lambda event: float(event["time"]),
-            ),
+            events=self._events(computer, outcome, ending or {}, fault_events, first),
             maps=maps,
             decision_mapper=decided,
             first_map=self._first_map,
@@ -270,6 +255,30 @@ class Recorder:
                 if len(images) > first.images.get(name, 0)
             },
         )
+
+    def _events(
+        self,
+        computer: OnboardComputer,
+        outcome: LandingOutcome,
+        ending: dict[str, Any],
+        fault_events: Sequence[dict[str, Any]],
+        first: RecordExtent,
+    ) -> list[dict[str, Any]]:
+        """Return the events after `first` in the order of time; arguments as in `flight`."""
+        name = "touchdown" if outcome.touchdown else "end"
+        last: list[dict[str, Any]] = [
+            {"time": computer.time, "name": name, "failure_causes": list(outcome.failure_causes)}
+            | ending
+        ]
+        if outcome.failure_causes == ("unfinished",):
+            last = []
+        telemetry = [
+            {"time": time, "name": name, **more}
+            for time, name, more in computer.telemetry[first.telemetry :]
+        ]
+        faults = [event for event in fault_events if event["time"] > first.time]
+        found = [*faults, *self._sensor_events[first.events :], *telemetry, *last]
+        return sorted(found, key=lambda event: float(event["time"]))
 
 
 class _Readings:

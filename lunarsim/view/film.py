@@ -127,10 +127,10 @@ class FilmRenderer:
         self.lander: Lander = Scenario.world_from_toml(flight.scenario).true_lander()
         self.moments = FlightMoments(flight)
         first = self.moments.at(0.0)
-        self._chase = ChaseView(world, self.lander, first, (WIDTH, HEIGHT), _FOCAL)
-        views = [self._chase.camera(self.moments.at(s * self.moments.duration))
+        self.chase = ChaseView(world, self.lander, first, (WIDTH, HEIGHT), _FOCAL)
+        views = [self.chase.camera(self.moments.at(s * self.moments.duration))
                  for s in (0.0, 0.5, 1.0)]  # fmt: skip
-        self._chase.set_exposure(views)
+        self.chase.set_exposure(views)
         record = flight.maps.get(flight.decision_mapper, next(iter(flight.maps.values()), None))
         self._map, self._map_start = record, 0.0
         if record is not None:
@@ -140,7 +140,7 @@ class FilmRenderer:
     def frame(self, time: float) -> Image:
         """Return the RGB frame (480, 900, 3) at a time of the flight, s."""
         moment = self.moments.at(time)
-        chase = self._chase.draw(moment)
+        chase = self.chase.draw(moment)
         draw_text(chase, self._caption(time), (10, 22), 0.5)
         if time >= self.moments.duration:
             draw_text(chase, str(self.flight).splitlines()[0], (10, 46), 0.6)

@@ -23,7 +23,7 @@ def renderer(flown):
 
 @pytest.fixture(scope="module")
 def film(flown, tmp_path_factory):
-    """Return frames (n, rows, cols, 3) and frame rate of a film of 2 s, and the calls of progress."""
+    """Return frames, frame rate and calls of progress of a film of 2 s."""
     path, calls = tmp_path_factory.mktemp("film") / "film.mp4", []
     save_film(flown.flight, path, seconds=2.0, world=flown.world, progress=calls.append)
     source, frames = cv2.VideoCapture(str(path)), []
@@ -46,8 +46,8 @@ def test_frames_follow_the_time_of_the_flight(film, renderer, flown):
     assert np.diff(times)[:30] == pytest.approx(flown.flight.duration / 37, rel=1e-6)
     assert (times >= flown.flight.duration).sum() == 3  # 5 % of the film
     for k in (8, 20, 30):
-        off = [np.abs(frames[j, :, :WIDTH].astype(float) - renderer.frame(times[k])[:, :WIDTH]).mean()
-               for j in range(k - 2, k + 3)]  # fmt: skip
+        expected = renderer.frame(times[k])[:, :WIDTH].astype(float)
+        off = [np.abs(frames[j, :, :WIDTH] - expected).mean() for j in range(k - 2, k + 3)]
         assert np.argmin(off) == 2
 
 
@@ -77,7 +77,7 @@ def test_states_are_those_of_the_record_and_smooth_between(flown):
 
 def test_chase_view_shows_lander_and_true_site(renderer, flown):
     moment = renderer.moments.at(flown.flight.duration)
-    chase = renderer._chase
+    chase = renderer.chase
     view = chase.camera(moment)
     lander, site = project(view, np.array([moment.position, moment.site]))
     assert lander == pytest.approx((0.5 * (WIDTH - 1), 0.5 * (HEIGHT - 1)), abs=1.0)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import sys
+
 import cv2
 import matplotlib as mpl
 import numpy as np
 import pytest
 import rerun
+from click.testing import CliRunner
 from rerun.chunk import RrdReader
 from scipy.spatial.transform import Rotation
 
+from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.simulation.flight import Flight
 from lunarsim.view import save_recording
@@ -261,15 +265,29 @@ def test_parts_of_a_record_make_up_the_record(flown):
             found = np.concatenate([getattr(p, name)[column] for p in flown.parts])
             assert np.array_equal(found, values, equal_nan=True), column
     assert np.array_equal(np.vstack([p.scans for p in flown.parts]), f.scans)
-    assert sum((p.decisions for p in flown.parts), []) == f.decisions
-    assert sum((p.events for p in flown.parts), []) == f.events
-    images = [p.images["camera"].encoded for p in flown.parts if p.images]
-    assert sum(images, ()) == tuple(f.images["camera"].encoded)
+    assert [d for p in flown.parts for d in p.decisions] == f.decisions
+    assert [e for p in flown.parts for e in p.events] == f.events
+    images = [data for p in flown.parts if p.images for data in p.images["camera"].encoded]
+    assert images == list(f.images["camera"].encoded)
 
 
 def test_a_saved_flight_keeps_the_time_of_its_map(flown, tmp_path):
     loaded = Flight.load(flown.flight.save(tmp_path / "flight"))
     assert loaded.maps["dem"].time == flown.flight.maps["dem"].time > 1.0
+
+
+@pytest.mark.parametrize(("arguments", "extra"), [(["--save", "x.rrd"], False), ([], False),
+                                                  ([], True)])  # fmt: skip
+def test_missing_viewer_or_display_is_named(arguments, extra, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    if not extra:
+        monkeypatch.setitem(sys.modules, "rerun", None)
+    result = CliRunner().invoke(main, ["view", "flight", *arguments])
+    expected = "needs a display" if extra else "Install the extra `view`"
+    assert result.exit_code == 2 and expected in result.stderr
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_error_leaves_no_file(flown, tmp_path, monkeypatch):
