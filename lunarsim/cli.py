@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +38,7 @@ from lunarsim.cli_start import INTERRUPTED, run
 from lunarsim.cli_study import study
 from lunarsim.cli_terrain import terrain
 from lunarsim.cli_vehicle import vehicle
+from lunarsim.cli_view import check_live_view, film, live_view, view
 from lunarsim.errors import InputError, check_folder, check_output
 
 if TYPE_CHECKING:
@@ -62,7 +64,7 @@ def main() -> None:
 
 for _command in (
     agent, campaign, sweep, replay, terrain, scenario, vehicle, parts, evaluate, study, interface,
-    export,
+    export, view, film,
 ):  # fmt: skip
     main.add_command(_command)
 
@@ -92,13 +94,17 @@ for _command in (
     "control cycles that take longer. Default: as fast as possible.",
 )  # fmt: skip
 @click.option(
+    "--view", "is_viewed", is_flag=True,
+    help="Show the flight in the Rerun viewer while it is simulated. Needs the extra `view`.",
+)  # fmt: skip
+@click.option(
     "--record-messages", "messages", type=PATH, default=None, metavar="DIR",
     help="New folder for records of the calls of external software, which `lunarsim interface "
     "replay` repeats.",
 )  # fmt: skip
 def fly(
     scenario: Path, changes: tuple[str, ...], policy: str | None, guidance: str | None, seed: int,
-    flight: int, out: Path | None, pace: float | None, messages: Path | None,
+    flight: int, out: Path | None, pace: float | None, is_viewed: bool, messages: Path | None,
 ) -> None:  # fmt: skip
     """Fly one descent of SCENARIO and print its outcome.
 
@@ -114,6 +120,8 @@ def fly(
     for folder in (out, messages):
         if folder is not None:
             check_folder(folder)
+    if is_viewed:
+        check_live_view()
     maps = any(mapper.kind == "gaussian-dem" for mapper in loaded.mappers.values())
     beside = ["lunarsim.safety.compile_kernels"] + ["--exact"] * (out is not None)
     with report_compilation(beside if maps else []):
@@ -124,7 +132,8 @@ def fly(
         forecast = lock_forecast(simulation.briefing)
         if forecast is not None and not forecast.can_lock:
             click.echo(f"warning: {forecast}", err=True)
-        record = simulation.run(pacer)
+        with live_view(simulation) if is_viewed else nullcontext() as watch:
+            record = simulation.run(pacer, watch)
         if out is not None:
             # This call compiles kernels, so it must run inside the block that counts them.
             simulation.truth.is_safe_at(simulation.site[:2])

@@ -54,9 +54,21 @@ OF_A_SCENARIO = [
 ]
 # Of every command: arguments of its own, and what the line must hold.
 OWN = {
+    "view": [
+        (["gone"], ["view: ", "needs a display", "--save"]),
+        (["gone", "--save", "x.rrd"], ["flight: ", "got 'gone'", "contains flight.json"]),
+        (["gone", "--save", "x.txt"], ["--save: ", "got 'x.txt'", "ends in .rrd"]),
+        (["gone", "--save", "none/x.rrd"], ["--save: ", "none/x.rrd", "existing folder"]),
+    ],
+    "film": [
+        (["gone"], ["flight: ", "got 'gone'", "contains flight.json"]),
+        (["gone", "--out", "x.avi"], ["--out: ", "got 'x.avi'", ".mp4 or .gif"]),
+        (["gone", "--seconds", "0.1"], ["--seconds", "1.0<=x<=600.0"]),
+    ],
     "fly": [
         ([GOOD, "--policy", "safset"], ["--policy: ", "got 'safset'", "Did you mean 'safest'"]),
         ([GOOD, "--guidance", "apolo"], ["--guidance: ", "got 'apolo'", "Did you mean 'apollo'"]),
+        ([GOOD, "--view"], ["--view: ", "needs a display", "--save"]),
         ([GOOD, "--seed", "-1"], ["--seed", "-1", "x>=0"]),
         ([GOOD, "--seed", "1.5"], ["--seed", "'1.5' is not a valid integer."]),
         ([GOOD, "--flight", "many"], ["--flight", "many", "integer"]),

@@ -15,6 +15,7 @@ import lunarsim.interface
 import lunarsim.search
 import lunarsim.studies
 import lunarsim.studies.worst_case
+import lunarsim.view
 from tests.worlds import ROOT
 
 PUBLIC = {
@@ -25,6 +26,7 @@ PUBLIC = {
     "lunarsim.search": set(lunarsim.search.__all__),
     "lunarsim.studies": set(lunarsim.studies.__all__),
     "lunarsim.studies.worst_case": set(lunarsim.studies.worst_case.__all__),
+    "lunarsim.view": set(lunarsim.view.__all__),
 }
 # Packages of internals that studies of these packages measure, calibrate or plot.
 STUDIED = tuple(

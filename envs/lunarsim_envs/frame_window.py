@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -12,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.view.display import has_display
 
-# Environment variables that indicate a display on Linux.
-_SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 # Resolution of the figure, pixels per inch; any value works.
 _DPI = 100
 
@@ -30,8 +27,7 @@ def _can_open_windows() -> bool:
 
 def available_render_modes(modes: Sequence[str]) -> list[str]:
     """Return `modes` without "human" if this machine cannot open a window."""
-    screen = sys.platform in ("win32", "darwin") or any(map(os.environ.get, _SCREENS))
-    return [mode for mode in modes if mode != "human" or (screen and _can_open_windows())]
+    return [mode for mode in modes if mode != "human" or (has_display() and _can_open_windows())]
 
 
 class FrameWindow:

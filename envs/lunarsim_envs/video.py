@@ -10,14 +10,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from lunarsim.atomic_files import atomic_write
 from lunarsim.errors import InputError
+from lunarsim.view.video import write_gif, write_mp4
 
 
 class RecordVideos(gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -126,32 +125,8 @@ def save_video(frames: Sequence[NDArray[np.uint8]], path: str | Path, fps: float
         raise InputError("frames", sorted(shapes), "must be one or more images of the same size")
     if not 0.1 <= fps <= 100.0:
         raise InputError("fps", fps, "must be between 0.1 and 100 (images per second)")
-    writers = {".gif": _gif, ".mp4": _mp4}
+    writers = {".gif": write_gif, ".mp4": write_mp4}
     if path.suffix.lower() not in writers:
         raise InputError("path", str(path), "must be a file name that ends in .gif or .mp4")
     write = writers[path.suffix.lower()]
     atomic_write(path, lambda part: write(frames, part, fps))
-
-
-def _gif(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> None:
-    first, *others = (Image.fromarray(frame).quantize(128) for frame in frames)
-    first.save(
-        path, format="GIF", save_all=True, append_images=others, duration=round(1e3 / fps), loop=0
-    )
-
-
-def _mp4(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> None:
-    rows, cols, _ = frames[0].shape
-    named = path.with_name(f"{path.name}.mp4")  # OpenCV selects the container by the suffix
-    try:
-        film = cv2.VideoWriter(str(named), cv2.VideoWriter.fourcc(*"mp4v"), fps, (cols, rows))
-        if not film.isOpened():
-            raise InputError(
-                "path", str(path), "must end in .gif, because the installed OpenCV cannot write MP4"
-            )
-        for frame in frames:
-            film.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
-        film.release()
-        named.replace(path)
-    finally:
-        named.unlink(missing_ok=True)

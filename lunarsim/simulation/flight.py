@@ -444,6 +444,7 @@ def _save_map(name: str, record: MapRecord, folder: Path) -> None:
             "x0_m": grid.x0,
             "y0_m": grid.y0,
             "navigation_error_m": np.asarray(record.error),
+            **({} if record.time is None else {"time_s": record.time}),
         },
     )
     packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
@@ -455,10 +456,10 @@ def _save_map(name: str, record: MapRecord, folder: Path) -> None:
 def _load_map(name: str, folder: Path) -> MapRecord:
     """Read the last map of a mapper and its tables from the folder of a flight."""
     path = folder / "maps" / f"{name}.nc"
-    grid, layers, error = read_layers(folder, path, list(_LAYERS), _BOOLEAN_LAYERS)
+    grid, layers, error, time = read_layers(folder, path, list(_LAYERS), _BOOLEAN_LAYERS)
     tables = {
         table.name.removeprefix(f"{name}.").removesuffix(".parquet"): read_columns(folder, table)
         for table in sorted(path.parent.glob(f"{name}.*.parquet"))
     }
     with reading(path):
-        return MapRecord(HazardMap(grid, **layers), error, tables)
+        return MapRecord(HazardMap(grid, **layers), error, tables, time)

@@ -306,8 +306,10 @@ def read_rows(folder: Path, name: str, columns: Sequence[str]) -> NDArray[np.flo
 
 def read_layers(
     folder: Path, path: Path, names: Sequence[str], flags: Sequence[str]
-) -> tuple[Grid, dict[str, NDArray[Any]], Array]:
-    """Read grid, layers (rows, cols) and navigation error (3,), m, of a hazard map.
+) -> tuple[Grid, dict[str, NDArray[Any]], Array, float | None]:
+    """Read grid, layers (rows, cols), navigation error and time of a hazard map.
+
+    The error (3,) is in m, and the time in s. The time is None in records of earlier versions.
 
     Parameters
     ----------
@@ -343,7 +345,10 @@ def read_layers(
         error = np.array(a["navigation_error_m"], dtype=np.float64)
         if error.shape != (3,) or not np.isfinite(error).all():
             raise _DefectError("navigation_error_m must be three finite numbers")
-        return grid, layers, error
+        time = float(np.asarray(a["time_s"]).item()) if "time_s" in a else None
+        if time is not None and not math.isfinite(time):
+            raise _DefectError("time_s must be finite")
+        return grid, layers, error, time
 
 
 def read_image(folder: Path, path: Path, size: tuple[float, float], max_bytes: int) -> bytes:

@@ -106,9 +106,9 @@ class ImageRecorder:
         self._encoded.append(cv2.imencode(".png", counts)[1].tobytes())
         return True
 
-    def record(self) -> ImageRecord:
-        """Return the images recorded up to now."""
-        return ImageRecord(IMAGES.as_columns(self._rows), tuple(self._encoded))
+    def record(self, first: int = 0) -> ImageRecord:
+        """Return the images recorded up to now, from the one with index `first` on."""
+        return ImageRecord(IMAGES.as_columns(self._rows[first:]), tuple(self._encoded[first:]))
 
 
 def save_images(folder: Path, sensor: str, images: ImageRecord) -> list[Path]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,7 @@ from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.mission import plan
 from lunarsim.simulation.pacing import Pacer
 from lunarsim.simulation.plant import Plant
-from lunarsim.simulation.recorder import MessageRecorder, Recorder
+from lunarsim.simulation.recorder import MessageRecorder, Recorder, RecordExtent
 from lunarsim.simulation.worlds import build_world
 from lunarsim.typing import Array
 from lunarsim.vehicle import Dynamics, LandingOutcome, State
@@ -402,23 +402,31 @@ class Simulation:
         if not self.done:
             self.move()
 
-    def run(self, pacer: Pacer | None = None) -> Flight:
+    def run(
+        self, pacer: Pacer | None = None, watch: Callable[[Flight], object] | None = None
+    ) -> Flight:
         """Simulate the flight to its end and return its record.
 
-        `pacer` slows the flight down to wall-clock rate.
+        `pacer` slows the flight down to wall-clock rate. `watch` is called with the record of each
+        control cycle, which has only what this cycle added.
         """
-        while not self.done:
+        extent = RecordExtent()
+        while True:
+            if watch is not None:
+                watch(self.flight(since=extent))
+                extent = self.recorder.extent(self.computer)
+            if self.done:
+                return self.flight()
             self.step()
             if pacer is not None:
                 pacer.wait()
-        return self.flight()
 
     def close(self) -> None:
         """End external software of a flight that is not flown to its end."""
         self.computer.close()
 
-    def flight(self) -> Flight:
-        """Return the record of the flight up to now."""
+    def flight(self, since: RecordExtent | None = None) -> Flight:
+        """Return the record of the flight up to now, or of what was added `since`."""
         seed = self.streams.seed
         return self.recorder.flight(
             self.computer,
@@ -427,8 +435,12 @@ class Simulation:
             policy=self.policy.name if self.policy is not None else "external",
             outcome=self.outcome or LandingOutcome(False, ("unfinished",), None),
             ending=self._ending_details(),
-            actuators=[] if self.plant.actuators is None else self.plant.actuators.commands,
+            # A part of the record has no actuators: they are sampled faster than control cycles.
+            actuators=[]
+            if self.plant.actuators is None or since
+            else self.plant.actuators.commands,
             fault_events=fault_events(self.scenario, self.time),
+            since=since,
         )
 
     def _ending_details(self) -> dict[str, Any]:

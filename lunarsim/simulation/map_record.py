@@ -29,11 +29,14 @@ class MapRecord:
     tables
         Other data of the mapper in the local frame, for instance tracked rocks: columns (n,) by
         name, for each table name.
+    time
+        Time when the map was last updated, s; None in records of earlier versions.
     """
 
     hazard_map: HazardMap
     error: Array
     tables: dict[str, dict[str, Array]] = field(default_factory=dict)
+    time: float | None = None
 
     def __post_init__(self) -> None:
         m = self.hazard_map

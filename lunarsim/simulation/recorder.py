@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -60,6 +60,31 @@ class MessageRecorder:
         self.exchanges.append((measurements, command, torques))
 
 
+class RecordExtent(NamedTuple):
+    """Numbers of entries of a record up to a moment of the flight.
+
+    Attributes
+    ----------
+    time
+        Time of the moment since the start of the flight, s.
+    rows, commands, scans
+        Numbers of control cycles, commands and LiDAR scans.
+    events, telemetry, diverts
+        Numbers of events of sensors, of events of the onboard computer, and of diverts.
+    images
+        Number of images of each camera.
+    """
+
+    time: float = -np.inf
+    rows: int = 0
+    commands: int = 0
+    scans: int = 0
+    events: int = 0
+    telemetry: int = 0
+    diverts: int = 0
+    images: dict[str, int] = {}  # noqa: RUF012  (never changed)
+
+
 class Recorder:
     """Recorder of states, commands, events, decisions, scans and maps of one flight.
 
@@ -86,7 +111,13 @@ class Recorder:
         self._sensor_events: list[dict[str, Any]] = []
         self._last: dict[str, float] = {}
         self._errors: dict[str, Array] = {}
+        self._update_times: dict[str, float] = {}
         self._first_map: Estimate | None = None
+
+    @property
+    def cameras(self) -> list[str]:
+        """Names of the cameras whose images are recorded."""
+        return list(self._images)
 
     def add_cycle(self, cycle: Cycle) -> None:
         """Add the state and the estimate at the end of one control cycle."""
@@ -124,6 +155,7 @@ class Recorder:
                 )
         for name in computer.updated_mappers:
             self._errors[name] = error
+            self._update_times[name] = computer.time
             if self._first_map is None:
                 self._first_map = computer.estimate
 
@@ -155,6 +187,14 @@ class Recorder:
         if len(points):
             self._scans.append(np.column_stack((points, np.full(len(points), scan.time))))
 
+    def extent(self, computer: OnboardComputer) -> RecordExtent:
+        """Return the numbers of entries that are recorded up to now."""
+        return RecordExtent(
+            computer.time, len(self._rows), len(self._commands), len(self._scans),
+            len(self._sensor_events), len(computer.telemetry), len(computer.diverts),
+            {name: len(images) for name, images in self._images.items()},
+        )  # fmt: skip
+
     def flight(
         self,
         computer: OnboardComputer,
@@ -166,61 +206,79 @@ class Recorder:
         ending: dict[str, Any] | None = None,
         actuators: Sequence[Array] = (),
         fault_events: Sequence[dict[str, Any]] = (),
+        since: RecordExtent | None = None,
     ) -> Flight:
         """Build the record of the flight up to now.
 
         `scenario` is TOML text, `policy` a name, `ending` has values for the last event, and
         `actuators` are the commands of `vehicle.actuators.Actuators`, and `fault_events` the starts
-        and ends of faults.
+        and ends of faults. With `since`, the record has only what was added since then.
         """
+        first = RecordExtent() if since is None else since
         maps = {
             name: MapRecord(
-                mapper.hazard_map(), self._errors.get(name, np.zeros(3)), mapper.record_tables()
+                mapper.hazard_map(), self._errors[name], mapper.record_tables(),
+                self._update_times[name],
             )
             for name, mapper in computer.mappers.items()
-            if name in self._errors and not mapper.is_empty
-        }
+            if self._update_times.get(name, -np.inf) > first.time and not mapper.is_empty
+        }  # fmt: skip
         decided = computer.decision_map_name
-        name = "touchdown" if outcome.touchdown else "end"
-        last: list[dict[str, Any]] = [
-            {"time": computer.time, "name": name, "failure_causes": list(outcome.failure_causes)}
-            | (ending or {})
-        ]
-        if outcome.failure_causes == ("unfinished",):
-            last = []
-        telemetry = [
-            {"time": time, "name": name, **more} for time, name, more in computer.telemetry
-        ]
         return Flight(
             scenario=scenario,
             seed=seed,
             policy=policy,
             outcome=outcome,
             target=self._target,
-            trajectory=self.trajectory(),
-            navigation=NAVIGATION.as_columns(self._estimates),
-            commands=COMMANDS.as_columns(self._commands),
+            trajectory=TRAJECTORY.as_columns(self._rows[first.rows :]),
+            navigation=NAVIGATION.as_columns(self._estimates[first.rows :]),
+            commands=COMMANDS.as_columns(self._commands[first.commands :]),
             # The last cycle is simulated to its end, although the lander may land before.
             actuators=ACTUATORS.as_columns([row for row in actuators if row[0] <= computer.time])
             if len(actuators)
             else {},
-            decisions=[_as_dict(*divert) for divert in computer.diverts],
-            events=sorted(
-                [*fault_events, *self._sensor_events, *telemetry, *last],
-                key=lambda event: float(event["time"]),
-            ),
+            decisions=[_as_dict(*divert) for divert in computer.diverts[first.diverts :]],
+            events=self._events(computer, outcome, ending or {}, fault_events, first),
             maps=maps,
             decision_mapper=decided,
             first_map=self._first_map,
-            scans=np.vstack([np.zeros((0, 4)), *self._scans]).astype(np.float32),
+            scans=np.vstack([np.zeros((0, 4)), *self._scans[first.scans :]]).astype(np.float32),
             candidates=_table(computer.candidates).astype(np.float32),
             readings={
                 name: readings.as_columns()
                 for name, readings in self._readings.items()
                 if readings.blocks
             },
-            images={name: images.record() for name, images in self._images.items() if len(images)},
+            images={
+                name: images.record(first.images.get(name, 0))
+                for name, images in self._images.items()
+                if len(images) > first.images.get(name, 0)
+            },
         )
+
+    def _events(
+        self,
+        computer: OnboardComputer,
+        outcome: LandingOutcome,
+        ending: dict[str, Any],
+        fault_events: Sequence[dict[str, Any]],
+        first: RecordExtent,
+    ) -> list[dict[str, Any]]:
+        """Return the events after `first` in the order of time; arguments as in `flight`."""
+        name = "touchdown" if outcome.touchdown else "end"
+        last: list[dict[str, Any]] = [
+            {"time": computer.time, "name": name, "failure_causes": list(outcome.failure_causes)}
+            | ending
+        ]
+        if outcome.failure_causes == ("unfinished",):
+            last = []
+        telemetry = [
+            {"time": time, "name": name, **more}
+            for time, name, more in computer.telemetry[first.telemetry :]
+        ]
+        faults = [event for event in fault_events if event["time"] > first.time]
+        found = [*faults, *self._sensor_events[first.events :], *telemetry, *last]
+        return sorted(found, key=lambda event: float(event["time"]))
 
 
 class _Readings:
