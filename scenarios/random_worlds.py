@@ -21,23 +21,10 @@ from typing import Any
 import click
 import numpy as np
 from rich.table import Table
-from worst_case_maps import (
-    ANGLE,
-    MAP_POSTING_M,
-    MAP_SIDE_M,
-    RANGE,
-    SPACE,
-    UPRIGHT,
-    scenario_of,
-    simulate_scan,
-)
+from worst_case_maps import ANGLE, RANGE, SPACE, map_world, scenario_of
 
-from lunarsim import Grid, InputError, flight_seed, site_safety
-from lunarsim.api import RandomStreams
-from lunarsim.evaluation.comparisons import holm_correction
-from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
-from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import DemSnapshot
-from lunarsim.studies import Case, Report, Study, run_script
+from lunarsim import InputError, site_safety
+from lunarsim.studies import Case, Report, Study, holm_correction, run_script
 
 CLAIMS = (0.95, 0.99)
 # Precision that no world may contradict, and the significance of the test.
@@ -64,21 +51,12 @@ def measure(case: Case) -> dict[str, Any]:
     """Map one world; return the counts of sites and claims, by squares and by p_safe."""
     values = drawn_values(case)
     scenario = scenario_of(values)
-    sequence = flight_seed(case.seed, case.number)
-    streams = RandomStreams(sequence)
-    scenario = scenario.changed(terrain={"relief_seed": int(sequence.generate_state(1)[0])})
-    lander = scenario.vehicle.make()
     try:
-        terrain = scenario.terrain.make().build(scenario.rocks.make(), streams)
+        terrain, drawn = map_world(scenario, values[RANGE], values[ANGLE], case.seed, case.number)
     except InputError as error:
         return {"rejected": str(error)}
-    scan, position = simulate_scan(scenario, terrain, values[RANGE], values[ANGLE], streams)
-    pool = SamplePool(Grid.centred((0.0, 0.0), MAP_SIDE_M, MAP_POSTING_M))
-    pool.add(scan.points(position, UPRIGHT), scan.height_sigma(UPRIGHT), scan.spacing(UPRIGHT))
-    dem = pooled_dem(pool)
-    drawn = DemSnapshot(dem, lander, scenario.expected_rocks.make()).hazard_map
     where = drawn.observed & (np.arange(drawn.grid.rows) % ROW_STRIDE == 0)[:, None]
-    safe = site_safety(terrain, drawn.grid, lander, where=where)[0]
+    safe = site_safety(terrain, drawn.grid, scenario.vehicle.make(), where=where)[0]
     domain = where & drawn.in_domain
     row, col = np.nonzero(domain)
     block = row // BLOCK_CELLS * drawn.grid.cols + col // BLOCK_CELLS

@@ -126,6 +126,32 @@ def _with_correct_expectation(scenario: Scenario) -> Scenario:
     return scenario.changed(expected_rocks=law)
 
 
+def map_world(
+    scenario: Scenario, distance: float, angle_deg: float, seed: int, number: int
+) -> tuple[Terrain, HazardMap]:
+    """Return the terrain of a world, and its map of one static scan.
+
+    The arguments are those of `map_precision`.
+
+    Raises
+    ------
+    InputError
+        If the rocks do not fit on the terrain.
+    """
+    sequence = flight_seed(seed, number)
+    streams = RandomStreams(sequence)
+    relief_seed = int(sequence.generate_state(1)[0])
+    scenario = scenario.changed(terrain={"relief_seed": relief_seed})
+    terrain = scenario.terrain.make().build(scenario.rocks.make(), streams)
+    scan, position = simulate_scan(scenario, terrain, distance, angle_deg, streams)
+    pool = SamplePool(Grid.centred((0.0, 0.0), MAP_SIDE_M, MAP_POSTING_M))
+    pool.add(scan.points(position, UPRIGHT), scan.height_sigma(UPRIGHT), scan.spacing(UPRIGHT))
+    found = DemSnapshot(
+        pooled_dem(pool), scenario.vehicle.make(), scenario.expected_rocks.make()
+    ).hazard_map
+    return terrain, found
+
+
 def map_precision(
     scenario: Scenario, distance: float, angle_deg: float, seed: int, number: int
 ) -> dict[str, Any]:
@@ -152,17 +178,8 @@ def map_precision(
         If the rocks do not fit on the terrain.
     """
     start = time.process_time()
-    sequence = flight_seed(seed, number)
-    streams = RandomStreams(sequence)
-    relief_seed = int(sequence.generate_state(1)[0])
-    scenario = scenario.changed(terrain={"relief_seed": relief_seed})
+    terrain, drawn = map_world(scenario, distance, angle_deg, seed, number)
     lander = scenario.vehicle.make()
-    terrain = scenario.terrain.make().build(scenario.rocks.make(), streams)
-    scan, position = simulate_scan(scenario, terrain, distance, angle_deg, streams)
-    pool = SamplePool(Grid.centred((0.0, 0.0), MAP_SIDE_M, MAP_POSTING_M))
-    pool.add(scan.points(position, UPRIGHT), scan.height_sigma(UPRIGHT), scan.spacing(UPRIGHT))
-    dem = pooled_dem(pool)
-    drawn = DemSnapshot(dem, lander, scenario.expected_rocks.make()).hazard_map
     claimed = claimed_sites(drawn)
     safe = site_safety(terrain, drawn.grid, lander, where=claimed)[0][claimed]
     return {

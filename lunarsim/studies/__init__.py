@@ -1,5 +1,6 @@
 """Studies: measure cases, keep their results, and report them."""
 
+from lunarsim.evaluation.comparisons import holm_correction
 from lunarsim.evaluation.patch_posterior import PatchPrior, PosteriorSafety, posterior_safety
 from lunarsim.evaluation.risk_control import risk_threshold
 from lunarsim.evaluation.statistics import Proportion
@@ -16,6 +17,7 @@ __all__ = [
     "Proportion",
     "Report",
     "Study",
+    "holm_correction",
     "metric_table",
     "pack_array",
     "posterior_safety",

@@ -22,7 +22,7 @@ def script(monkeypatch):
     import random_worlds  # found after the study is loaded
     import worst_case_maps
 
-    monkeypatch.setattr(random_worlds, "MAP_SIDE_M", 18.0)
+    monkeypatch.setattr(worst_case_maps, "MAP_SIDE_M", 18.0)
     monkeypatch.setitem(worst_case_maps.BASE["terrain"], "size_m", 30.0)
     monkeypatch.setitem(worst_case_maps.BASE["mappers"]["dem"], "size_m", 18.0)
     return random_worlds
