@@ -50,12 +50,15 @@ def _spawn(stream: Any, blueprint: Any) -> None:
 
     The program of the viewer is that of the installed package, which need not be on the path.
     """
+    import rerun  # noqa: PLC0415  (an extra)
     import rerun_cli  # type: ignore[import-untyped]  # noqa: PLC0415  (an extra)
 
     program = Path(str(rerun_cli.__file__)).with_name("rerun")
     try:
-        stream.spawn(
-            default_blueprint=blueprint, executable_path=str(program) if program.exists() else None
+        rerun.spawn(
+            default_blueprint=blueprint,
+            executable_path=str(program) if program.exists() else None,
+            recording=stream,
         )
     except RuntimeError as error:
         raise InputError(

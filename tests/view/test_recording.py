@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
+from unittest.mock import create_autospec
 
 import cv2
 import matplotlib as mpl
@@ -288,6 +290,15 @@ def test_missing_viewer_or_display_is_named(arguments, extra, monkeypatch, tmp_p
     expected = "needs a display" if extra else "Install the extra `view`"
     assert result.exit_code == 2 and expected in result.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_view_starts_the_program_of_the_installed_package(flown, monkeypatch, tmp_path):
+    spawn = create_autospec(rerun.spawn)
+    monkeypatch.setattr(rerun, "spawn", spawn)
+    monkeypatch.setenv("DISPLAY", ":77")
+    result = CliRunner().invoke(main, ["view", str(flown.flight.save(tmp_path / "flight"))])
+    assert result.exit_code == 0, result.output
+    assert Path(spawn.call_args.kwargs["executable_path"]).is_file()
 
 
 def test_an_error_leaves_no_file(flown, tmp_path, monkeypatch):
