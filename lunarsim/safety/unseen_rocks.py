@@ -7,12 +7,13 @@ above, the mission's rock distribution has the weight of a number of samples.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lunarsim.rocks.field import Shape
 from lunarsim.rocks.size_distribution import golombek_number
 from lunarsim.typing import Array
 
@@ -40,6 +41,9 @@ _FRACTION_OF_MAX = 0.25
 _SPREAD = 1.0 / 3.0
 # Area of rocks above a height h over the base of a rock of height h: most are a little wider.
 _TOP_RATIO = 1.5
+# The same for faceted rocks, whose tops are narrower: the mean area above h of irregular rocks is
+# 0.6 of that of half ellipsoids, for Golombek distributions with 2 to 10 % cover.
+_FACETED_TOP_RATIO = 0.6 * _TOP_RATIO
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,8 @@ class ExceedanceCurve:
         None: `share` applies to all heights.
     rock_height_ratio
         Expected height of the rocks over their diameter.
+    top_ratio
+        Mean area of the rocks above a height over the base of a rock of this height.
     """
 
     height: Array
@@ -67,6 +73,7 @@ class ExceedanceCurve:
     gravel: Array | None = None
     min_counted_gravel_height: float = 0.0
     rock_height_ratio: float = 0.5
+    top_ratio: float = _TOP_RATIO
 
     @cached_property
     def with_gravel(self) -> ExceedanceCurve:
@@ -78,7 +85,7 @@ class ExceedanceCurve:
         """
         if self.gravel is None:
             return self
-        return ExceedanceCurve(self.height, self.gravel, rock_height_ratio=self.rock_height_ratio)
+        return replace(self, share=self.gravel, min_counted_height=0.0, gravel=None)
 
     def at(self, height: ArrayLike) -> Array:
         """Return the fraction of terrain above heights (...), m.
@@ -93,7 +100,8 @@ class ExceedanceCurve:
 
         The number is the fraction of terrain above the height, divided by the area `top` of a
         rock's top, times the probability ``exp(-density * top)`` that random samples miss a rock.
-        The top is 1.5 times the base of a rock of this height, with the expected height ratio.
+        The top is `top_ratio` times the base of a rock of this height and the expected height
+        ratio.
 
         Parameters
         ----------
@@ -103,7 +111,7 @@ class ExceedanceCurve:
             Samples per square metre, broadcast against `height`.
         """
         h = np.clip(np.asarray(height, dtype=np.float64), self.height[0], self.height[-1])
-        top = _TOP_RATIO * 0.25 * np.pi * (h / self.rock_height_ratio) ** 2
+        top = self.top_ratio * 0.25 * np.pi * (h / self.rock_height_ratio) ** 2
         return self.at(h) / top * np.exp(-np.asarray(density, dtype=np.float64) * top)
 
     def missed_rocks(self, height: ArrayLike, density: ArrayLike) -> Array:
@@ -167,7 +175,12 @@ class ExceedanceCurve:
 
 
 def height_curve(
-    rises: ArrayLike, noise: float, limit: float, cover: float, height_ratio: float = 0.5
+    rises: ArrayLike,
+    noise: float,
+    limit: float,
+    cover: float,
+    height_ratio: float = 0.5,
+    shape: Shape = "hemisphere",
 ) -> ExceedanceCurve:
     """Return the fraction of terrain above each height, from samples and a prior.
 
@@ -182,9 +195,9 @@ def height_curve(
         Standard deviation of a sample, m.
     limit
         The lander's roughness limit, m.
-    cover, height_ratio
+    cover, height_ratio, shape
         Fraction of the terrain covered by rocks in the Golombek distribution that the mission
-        expects, and height over diameter of its rocks.
+        expects, and height over diameter and shape of its rocks.
     """
     height = limit * _HEIGHTS
     law = distribution_fraction(height, cover, height_ratio)
@@ -197,7 +210,7 @@ def height_curve(
     share = _non_increasing(law * times)
     return ExceedanceCurve(
         height, share, counted, _non_increasing(np.maximum(law * lower, share)), min_counted,
-        height_ratio,
+        height_ratio, _FACETED_TOP_RATIO if shape in ("irregular", "mixed") else _TOP_RATIO,
     )  # fmt: skip
 
 

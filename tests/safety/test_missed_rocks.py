@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lunarsim.rocks.shapes import IRREGULAR, shape_table
+from lunarsim.rocks.size_distribution import sample_diameters
 from lunarsim.safety.unseen_rocks import ExceedanceCurve, depth_curve, height_curve
 
 
@@ -82,3 +84,37 @@ def test_holes_are_counted_as_far_as_the_terrain_lies_below():
     # 0.02 of the ground in squares of 0.5 m, each missed by 4 samples a square metre.
     assert deep.missed_holes(0.2, 4.0, 0.5) == pytest.approx(4.0 * deep.at(0.2) * np.exp(-1.0))
     assert (np.diff(deep.missed_holes(np.linspace(0.0, 1.0, 20), 4.0, 0.5)) <= 0.0).all()
+
+
+def test_tops_of_faceted_rocks_are_narrower_than_those_of_half_ellipsoids():
+    """Mean area above a height of the rocks that exceed it, by sampling their shapes."""
+    rng = np.random.default_rng(1)
+    table = shape_table()
+    points = rng.uniform(-1.4, 1.4, (4000, 2))
+    half_ellipsoid = np.sqrt(np.clip(1.0 - (points**2).sum(axis=1), 0.0, None))
+    faceted = []
+    for shape in range(IRREGULAR, len(table.count)):
+        planes = table.planes[shape, : table.count[shape]]
+        top, wall = planes[planes[:, 2] > 1e-9], planes[planes[:, 2] <= 1e-9]
+        height = ((top[:, 3] - points @ top[:, :2].T) / top[:, 2]).min(axis=1)
+        inside = (points @ wall[:, :2].T <= wall[:, 3]).all(axis=1)
+        faceted.append(np.where(inside, height, 0.0))
+    for cover in (0.02, 0.1):
+        diameter = sample_diameters(1e5, cover, 0.15, 3.0, rng)
+        high = diameter[0.5 * diameter > 0.25]
+        relative = 0.25 / (0.5 * high)
+        areas = [
+            np.mean([(h[:, None] > relative).mean(axis=0) @ high**2 for h in heights])
+            for heights in ([half_ellipsoid], faceted)
+        ]
+        assert 0.5 < areas[1] / areas[0] < 0.72
+
+
+def test_more_faceted_rocks_than_half_ellipsoids_are_unseen():
+    wide, narrow = (
+        height_curve(np.zeros(2000), 0.005, 0.25, 0.05, 0.5, shape)
+        for shape in ("hemisphere", "irregular")
+    )
+    assert np.array_equal(wide.share, narrow.share)
+    assert narrow.unseen_rocks(0.25, 20.0) > 2.0 * wide.unseen_rocks(0.25, 20.0)
+    assert narrow.with_gravel.unseen_rocks(0.25, 20.0) > wide.with_gravel.unseen_rocks(0.25, 20.0)

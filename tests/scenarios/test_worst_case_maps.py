@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import math
 from dataclasses import replace
@@ -69,6 +70,23 @@ def test_rocks_narrower_than_a_cell_are_found_by_its_highest_sample(small, monke
     # Another draw has other rocks; the same draw repeats itself.
     again, other = (measured(small, NARROW_ROCKS, number) for number in (0, 1))
     assert again["unsafe"] == bad["unsafe"] and other["unsafe"] != bad["unsafe"]
+
+
+# Found by the search with 500 evaluations: noise hides the flanks of rocks with narrow tops.
+FACETED_ROCKS = {
+    "terrain.rms_slope_deg": 0.4267, "rocks.shape": "irregular", "rocks.height_ratio.0": 0.5538,
+    "vehicle.leg_radius_m": 2.456, "vehicle.roughness_limit_m": 0.1644, "scan.pixels": 384,
+    "sensors.flash.noise_ratio": 9.404e-5,
+}  # fmt: skip
+
+
+def test_expected_faceted_rocks_have_narrow_tops(small, monkeypatch):
+    found = measured(small, FACETED_ROCKS)
+    assert found["claimed"] < 20 or found["precision"] > 0.95
+    unseen_rocks = importlib.import_module("lunarsim.safety.unseen_rocks")
+    monkeypatch.setattr(unseen_rocks, "_FACETED_TOP_RATIO", 1.5)
+    wide = measured(small, FACETED_ROCKS)
+    assert wide["claimed"] > 100 and wide["precision"] < 0.9
 
 
 def test_narrow_rocks_that_the_mission_does_not_expect_are_rarely_claimed_safe(script):

@@ -129,7 +129,7 @@ def dem_site_evidence(
         plane_stochastic_safety(surface, variance, dem.grid, lander),
         bounded_safety(surface, dem.grid, lander),
         lander,
-        height_curve(*curve_args),
+        height_curve(*curve_args, rocks.shape),
         depth_curve(*curve_args),
         s.density,
         s.noise,
