@@ -225,7 +225,7 @@ def _fly(*options):
 
 
 def test_an_interrupt_in_flight_leaves_nothing(small, monkeypatch):
-    def pressed(self, pacer):
+    def pressed(self, *settings):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Simulation, "run", pressed)
