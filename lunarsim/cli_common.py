@@ -41,6 +41,13 @@ class FloatRange(click.FloatRange):
 
     name = "float"
 
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number; NaN, which no bound excludes, is a mistake."""
+        number = super().convert(value, param, ctx)
+        if math.isnan(number):
+            self.fail("nan is not a number.", param, ctx)
+        return number
+
 
 class ErrorReportingGroup(click.Group):
     """Click command group that reports a user's mistake as one line with exit code 2."""

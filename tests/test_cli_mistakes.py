@@ -64,11 +64,13 @@ OWN = {
         (["gone"], ["flight: ", "got 'gone'", "contains flight.json"]),
         (["gone", "--out", "x.avi"], ["--out: ", "got 'x.avi'", ".mp4 or .gif"]),
         (["gone", "--seconds", "0.1"], ["--seconds", "1.0<=x<=600.0"]),
+        (["gone", "--seconds", "nan"], ["--seconds", "nan is not a number"]),
     ],
     "fly": [
         ([GOOD, "--policy", "safset"], ["--policy: ", "got 'safset'", "Did you mean 'safest'"]),
         ([GOOD, "--guidance", "apolo"], ["--guidance: ", "got 'apolo'", "Did you mean 'apollo'"]),
         ([GOOD, "--view"], ["--view: ", "needs a display", "--save"]),
+        ([GOOD, "--pace", "nan"], ["--pace", "nan is not a number"]),
         ([GOOD, "--seed", "-1"], ["--seed", "-1", "x>=0"]),
         ([GOOD, "--seed", "1.5"], ["--seed", "'1.5' is not a valid integer."]),
         ([GOOD, "--flight", "many"], ["--flight", "many", "integer"]),
