@@ -137,9 +137,9 @@ class _Recording:
             self._write("/scans", when, self._messages.point_cloud(when, points))
 
     def add_maps(self, flight: Flight) -> None:
-        """Add the last hazard map of each mapper, at the end of the flight."""
-        when = self._date(flight.duration)
+        """Add the last hazard map of each mapper, at its last update."""
         for name, record in flight.maps.items():
+            when = self._date(flight.duration if record.time is None else record.time)
             self._write(f"/map/{name}", when, self._messages.hazard_grid(when, record))
 
     def add_images(self, name: str, images: ImageRecord) -> None:
