@@ -37,9 +37,19 @@ class IntRange(click.IntRange):
 
 
 class FloatRange(click.FloatRange):
-    """Type of number options within bounds; errors call it "float", not a range."""
+    """Type of number options within bounds; errors call it "float", not a range.
+
+    NaN, which click accepts within any bounds, is refused.
+    """
 
     name = "float"
+
+    def convert(self, value: Any, param: Any, ctx: click.Context | None) -> float:
+        """Return the number, or fail if it is outside the bounds or NaN."""
+        number: float = super().convert(value, param, ctx)
+        if math.isnan(number):
+            self.fail(f"{value} is not in the range {self._describe_range()}.", param, ctx)
+        return number
 
 
 class ErrorReportingGroup(click.Group):

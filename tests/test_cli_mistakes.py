@@ -64,6 +64,7 @@ OWN = {
         (["gone"], ["flight: ", "got 'gone'", "contains flight.json"]),
         (["gone", "--out", "x.avi"], ["--out: ", "got 'x.avi'", ".mp4 or .gif"]),
         (["gone", "--seconds", "0.1"], ["--seconds", "1.0<=x<=600.0"]),
+        (["gone", "--seconds", "nan"], ["--seconds", "nan", "1.0<=x<=600.0"]),
     ],
     "fly": [
         ([GOOD, "--policy", "safset"], ["--policy: ", "got 'safset'", "Did you mean 'safest'"]),
