@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,9 @@ from lunarsim.view.blueprint import flight_blueprint
 from lunarsim.view.display import has_display
 from lunarsim.view.recording import Recording
 from lunarsim.world import World
+
+# Maximum time to wait for the viewer after the last data, s.
+_FLUSH_TIMEOUT_S = 20.0
 
 
 def check_viewer(field: str, remedy: str) -> None:
@@ -116,8 +120,7 @@ def view_flight(flight: Flight, world: World | None = None) -> None:
     stream = _new_stream(rerun, flight)
     _spawn(stream, _blueprint(flight))
     _record(stream, flight, world)
-    stream.flush()
-    stream.disconnect()
+    _finish(stream)
 
 
 class LiveView:
@@ -149,8 +152,17 @@ class LiveView:
 
     def close(self) -> None:
         """Wait until all data are sent; the viewer stays open."""
-        self.stream.flush()
-        self.stream.disconnect()
+        _finish(self.stream)
+
+
+def _finish(stream: Any) -> None:
+    """Send what is left of a stream, and end it.
+
+    A viewer that was closed, or failed to start, must not block the command.
+    """
+    with suppress(RuntimeError, ValueError):  # the timeout
+        stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
+    stream.disconnect()
 
 
 def _new_stream(rerun: Any, flight: Flight) -> Any:
