@@ -37,15 +37,18 @@ class IntRange(click.IntRange):
 
 
 class FloatRange(click.FloatRange):
-    """Type of number options within bounds; errors call it "float", not a range."""
+    """Type of number options within bounds; errors call it "float", not a range.
+
+    NaN, which click accepts within any bounds, is refused.
+    """
 
     name = "float"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the number; NaN, which no bound excludes, is a mistake."""
-        number = super().convert(value, param, ctx)
+    def convert(self, value: Any, param: Any, ctx: click.Context | None) -> float:
+        """Return the number, or fail if it is outside the bounds or NaN."""
+        number: float = super().convert(value, param, ctx)
         if math.isnan(number):
-            self.fail("nan is not a number.", param, ctx)
+            self.fail(f"{value} is not in the range {self._describe_range()}.", param, ctx)
         return number
 
 

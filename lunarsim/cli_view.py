@@ -55,7 +55,7 @@ def view(flight: Path, save: Path | None) -> None:
 @click.argument("flight", type=PATH)
 @click.option(
     "--out", type=PATH, default=Path("film.mp4"), show_default=True,
-    help="Film to write: .mp4, or .gif with half the size and a third of the frame rate.",
+    help="Film to write: .mp4, or .gif with half the size and half the frame rate.",
 )  # fmt: skip
 @click.option(
     "--seconds", type=FloatRange(1.0, 600.0), default=20.0, show_default=True,

@@ -39,7 +39,7 @@ def read_csv_columns(
 ) -> dict[str, Array]:
     """Return columns (n,) by name from a CSV file with units in its header.
 
-    A heading is, for instance, ``time (s)``.
+    A heading is, for instance, ``time (s)``. Empty cells are NaN; empty rows are ignored.
 
     Parameters
     ----------
@@ -60,18 +60,19 @@ def read_csv_columns(
     reader = csv.reader(read_text_lines(path), strict=True)
     try:
         header = next(reader, [])
-        found = {
-            m[1]: (k, m[2]) for k, text in enumerate(header) if (m := _HEADING.fullmatch(text))
-        }
+        headings = [(k, m) for k, text in enumerate(header) if (m := _HEADING.fullmatch(text))]
+        found = {m[1]: (k, m[2]) for k, m in headings}
         wanted = [*columns, *((name, unit) for name, unit in optional if name in found)]
         for name, unit in wanted:
             if name not in found:
                 raise ValueError(f"its header has no column '{name} ({unit})'")
+            if sum(m[1] == name for _, m in headings) > 1:
+                raise ValueError(f"its header has more than one column {name!r}")
             if found[name][1] != unit:
                 raise ValueError(f"its column {name} has the unit {found[name][1]!r}, not {unit!r}")
         rows: list[list[float]] = []
         for cells in reader:
-            if cells:
+            if any(map(str.strip, cells)):
                 rows.append(_numbers(cells, [found[name][0] for name, _ in wanted], reader))
             if len(rows) > MAX_ROWS:
                 raise ValueError(f"it has more than {MAX_ROWS} rows")
@@ -84,6 +85,6 @@ def read_csv_columns(
 def _numbers(cells: list[str], columns: list[int], reader: Any) -> list[float]:
     """Return the numbers of one row; the error names the line."""
     try:
-        return [float(cells[k]) for k in columns]
+        return [float(cells[k]) if cells[k].strip() else np.nan for k in columns]
     except (ValueError, IndexError):
         raise ValueError(f"line {reader.line_num} has a value that is not a number") from None

@@ -37,7 +37,7 @@ class GivenRocks(NamedTuple):
 def load_rocks(path: Path) -> GivenRocks:
     """Read rocks from a CSV file with the columns x, y, diameter and height, m.
 
-    The column of the heights, and single heights (``nan``), may be absent.
+    The column of the heights, and single heights (``nan`` or an empty cell), may be absent.
 
     Raises
     ------
@@ -77,4 +77,5 @@ def _check(path: Path, rocks: GivenRocks) -> None:
         ),
     ):
         if wrong.any():
-            raise InputError("path", f"{path}: rock {int(np.argmax(wrong)) + 1}", problem)
+            number = int(np.argmax(wrong)) + 1
+            raise InputError("path", str(path), f"{problem}, because rock {number} has not")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,10 @@ from lunarsim.view.blueprint import flight_blueprint
 from lunarsim.view.display import has_display
 from lunarsim.view.recording import Recording
 from lunarsim.world import World
+
+# Maximum time to wait for the viewer after the last data, s.
+_FLUSH_TIMEOUT_S = 20.0
+_SAVE = "Use --save FILE.rrd, and open the file with `rerun FILE.rrd`."
 
 
 def check_viewer(field: str, remedy: str) -> None:
@@ -63,7 +68,7 @@ def _spawn(stream: Any, blueprint: Any) -> None:
     except RuntimeError as error:
         raise InputError(
             "view", None, f"cannot start the viewer ({str(error).splitlines()[0]})",
-            "Use --save FILE.rrd, and open the file with `rerun FILE.rrd`.", show_value=False,
+            _SAVE, show_value=False,
         ) from None  # fmt: skip
 
 
@@ -110,14 +115,18 @@ def view_flight(flight: Flight, world: World | None = None) -> None:
 
     `world` is the world of the flight; omitted: it is generated again from the flight's scenario
     and seed.
+
+    Raises
+    ------
+    InputError
+        If the viewer cannot be started, or was closed before it had all data.
     """
     world = rebuild_world(flight) if world is None else world
     rerun = import_rerun("view")
     stream = _new_stream(rerun, flight)
     _spawn(stream, _blueprint(flight))
     _record(stream, flight, world)
-    stream.flush()
-    stream.disconnect()
+    _finish(stream)
 
 
 class LiveView:
@@ -148,9 +157,27 @@ class LiveView:
         self._recording.add(part)
 
     def close(self) -> None:
-        """Wait until all data are sent; the viewer stays open."""
-        self.stream.flush()
-        self.stream.disconnect()
+        """Wait until all data are sent; the viewer stays open.
+
+        A flight is complete without its viewer: if that was closed, nothing is raised.
+        """
+        with suppress(InputError):
+            _finish(self.stream)
+
+
+def _finish(stream: Any) -> None:
+    """Send what is left of a stream, and end it; raise InputError if the viewer does not take it.
+
+    A viewer that was closed, or failed to start, must not block the command.
+    """
+    try:
+        stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
+    except (RuntimeError, ValueError):
+        raise InputError(
+            "view", None, "the viewer was closed or does not answer", _SAVE, show_value=False
+        ) from None
+    finally:
+        stream.disconnect()
 
 
 def _new_stream(rerun: Any, flight: Flight) -> Any:

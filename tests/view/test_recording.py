@@ -18,8 +18,9 @@ from scipy.spatial.transform import Rotation
 from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.simulation.flight import Flight
-from lunarsim.view import save_recording
+from lunarsim.view import save_recording, viewer
 from lunarsim.view.recording import Recording
+from lunarsim.view.viewer import view_flight
 from lunarsim.world.terrain import Terrain
 
 
@@ -312,3 +313,14 @@ def test_an_error_leaves_no_file(flown, tmp_path, monkeypatch):
     with pytest.raises(OSError, match="No space"):
         save_recording(flown.flight, tmp_path / "flight.rrd", flown.world)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_viewer_that_does_not_answer_does_not_block_the_command(flown, monkeypatch):
+    """The stream is connected to a port on which nothing listens."""
+    monkeypatch.setattr(
+        rerun, "spawn",
+        lambda recording, **_: recording.connect_grpc("rerun+http://127.0.0.1:9/proxy"),
+    )  # fmt: skip
+    monkeypatch.setattr(viewer, "_FLUSH_TIMEOUT_S", 0.5)
+    with pytest.raises(InputError, match="was closed or does not answer"):
+        view_flight(flown.flight, flown.world)
