@@ -12,10 +12,10 @@ from lunarsim.simulation.image_rendering import first_camera
 from lunarsim.view.chase_view import ChaseView, Moment
 from lunarsim.view.drawing import BACKGROUND, Image, draw_gauges, draw_text, project
 
-__all__ = ["ASIDE", "HEIGHT", "WIDTH", "ChaseViewRenderer", "project"]
+__all__ = ["HEIGHT", "PANEL", "WIDTH", "ChaseViewRenderer", "project"]
 
 # Size of the chase view, and width of the camera view and the gauges, pixels.
-HEIGHT, WIDTH, ASIDE = 360, 560, 240
+HEIGHT, WIDTH, PANEL = 360, 560, 240
 # Focal length of the chase camera, pixels.
 _FOCAL = 520.0
 
@@ -37,7 +37,7 @@ class ChaseViewRenderer:
     def __init__(self, simulation: Simulation) -> None:
         self.simulation = simulation
         camera = first_camera(simulation.scenario)
-        self._camera, self._shrunk = camera, ASIDE / max(camera.width, camera.height)
+        self._camera, self._shrunk = camera, PANEL / max(camera.width, camera.height)
         self._chase = ChaseView(
             simulation.world, simulation.lander, self._moment(), (WIDTH, HEIGHT), _FOCAL
         )
@@ -74,14 +74,14 @@ class ChaseViewRenderer:
         chase = self._chase.draw(moment)
         draw_text(chase, "chase view", (8, 18))
         below = self._onboard()
-        onboard = np.full((ASIDE, ASIDE, 3), BACKGROUND, np.uint8)
+        onboard = np.full((PANEL, PANEL, 3), BACKGROUND, np.uint8)
         try:
             seen = self.seen_by(below)
             self._chase.draw_site(seen, below, moment)
             onboard[: seen.shape[0], : seen.shape[1]] = seen
         except InputError:  # the camera is below the terrain
             draw_text(onboard, "below the terrain", (8, 40))
-        draw_text(onboard, "onboard camera", (8, ASIDE - 10))
+        draw_text(onboard, "onboard camera", (8, PANEL - 10))
         side_panel = np.vstack((onboard, self.gauges()))
         return np.hstack((chase, side_panel))
 
@@ -100,4 +100,4 @@ class ChaseViewRenderer:
             ("thrust", f"{y.thrust:.0f} N", y.thrust / vehicle.thrust_max),
             ("propellant", f"{left:.0f} kg", left / vehicle.propellant_mass),
         ]
-        return draw_gauges(rows, ASIDE, HEIGHT - ASIDE)
+        return draw_gauges(rows, PANEL, HEIGHT - PANEL)

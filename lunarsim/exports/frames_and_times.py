@@ -12,13 +12,14 @@ from lunarsim.errors import InputError
 from lunarsim.exports.formats import ExportOptions
 from lunarsim.frames import matrix_to_quat, quat_multiply
 from lunarsim.models.gravity import RoundMoon
+from lunarsim.onboard.guidance.trajectory_files import SITE_FRAME_NAME
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Flight
 from lunarsim.typing import Array
 
-# Names of the frames in CCSDS files. MOON_ME: mean Earth and polar axis, in which lunar latitudes
-# and longitudes are counted.
-SITE_FRAME_NAME, MOON_FRAME_NAME = "LUNARSIM_SITE_ENU", "MOON_ME"
+# Frame of CCSDS files that is fixed to the Moon: mean Earth and polar axis, in which lunar
+# latitudes and longitudes are counted.
+MOON_FRAME_NAME = "MOON_ME"
 SITE_FRAME_COMMENTS = (
     f"{SITE_FRAME_NAME} is a Cartesian frame fixed to the terrain: x east, y north, z up.",
     "Its origin is the centre of the terrain at its mean elevation, on the surface of the Moon.",

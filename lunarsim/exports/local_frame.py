@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lunarsim.exports.states import columns_of
 from lunarsim.simulation import Flight
+from lunarsim.simulation.columns import vector_columns
 from lunarsim.typing import Array
 
 
@@ -16,7 +16,7 @@ def local_frame_error(flight: Flight, time: Array) -> Array:
     cycles; 0 where the estimate is not finite. Errors of the attitude are not included.
     """
     table = flight.trajectory
-    error = columns_of(table, "estimated") - columns_of(table, "position")
+    error = vector_columns(table, "estimated") - vector_columns(table, "position")
     error = np.nan_to_num(error, nan=0.0, posinf=0.0, neginf=0.0)
     return np.column_stack([np.interp(time, table["time"], e) for e in error.T])
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from lunarsim.errors import InputError
 from lunarsim.simulation import Flight
+from lunarsim.simulation.columns import vector_columns
 from lunarsim.typing import Array
 
 
@@ -33,11 +34,6 @@ class States(NamedTuple):
     covariance: Array | None
 
 
-def columns_of(table: dict[str, Array], name: str, axes: str = "xyz") -> Array:
-    """Return the components of a vector or quaternion of a table (n, axes)."""
-    return np.column_stack([table[f"{name}_{axis}"] for axis in axes])
-
-
 def states_of(flight: Flight, kind: Literal["true", "estimate"]) -> States:
     """Return the true or the estimated states of a flight.
 
@@ -55,8 +51,8 @@ def states_of(flight: Flight, kind: Literal["true", "estimate"]) -> States:
             "--state", kind, "must be true, because the record has no estimates",
             "Records of schema version 1 have none.",
         )  # fmt: skip
-    vectors = [columns_of(table, name) for name in ("position", "velocity")]
-    attitude = columns_of(table, "attitude", "xyzw")
+    vectors = [vector_columns(table, name) for name in ("position", "velocity")]
+    attitude = vector_columns(table, "attitude", "xyzw")
     covariance = None if kind == "true" else _covariances(table)
     numbers = np.column_stack((table["time"], *vectors, attitude))
     kept = np.flatnonzero(np.isfinite(numbers).all(axis=1))

@@ -156,13 +156,21 @@ def relief_mesh(elevation: NDArray[np.float32], grid: Grid) -> tuple[Array, IntA
     known = np.isfinite(elevation)
     xy = grid.centres()
     vertices = np.dstack((xy, np.where(known, elevation, 0.0))).reshape(-1, 3)
-    index = np.arange(grid.rows * grid.cols).reshape(grid.shape)
+    return vertices.astype(np.float64), grid_triangles(known)
+
+
+def grid_triangles(known: NDArray[np.bool_]) -> IntArray:
+    """Return the triangles (m, 3) between grid points, as indices of the flattened grid.
+
+    Squares with a point that is not `known` (rows, cols), row 0 south, are omitted. The diagonal of
+    a square runs from south-west to north-east; the triangles are anticlockwise from above.
+    """
+    index = np.arange(known.size).reshape(known.shape)
     sw, se, nw, ne = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
     kept = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
-    faces = np.concatenate(
+    return np.concatenate(
         [np.column_stack([c[kept] for c in corners]) for corners in ((sw, se, ne), (sw, ne, nw))]
     )
-    return vertices.astype(np.float64), faces
 
 
 def rock_mesh(rocks: RockField) -> tuple[Array, IntArray]:

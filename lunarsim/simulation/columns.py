@@ -39,6 +39,11 @@ TRUE_FRAME, LOCAL_FRAME, SITE_FRAME, BODY_FRAME = (
 )
 
 
+def vector_columns(table: dict[str, Array], name: str, axes: str = "xyz") -> Array:
+    """Return a vector or quaternion (n, axes) from the columns of a table."""
+    return np.column_stack([table[f"{name}_{axis}"] for axis in axes])
+
+
 class Cycle(NamedTuple):
     """What one control cycle provides for a row of the trajectory.
 

@@ -49,6 +49,7 @@ from lunarsim.simulation.columns import (
     SCHEMA_VERSION,
     TRAJECTORY,
     TRUE_FRAME,
+    vector_columns,
 )
 from lunarsim.simulation.flight_files import (
     digest_of,
@@ -181,12 +182,12 @@ class Flight:
     @property
     def positions(self) -> Array:
         """True position of the lander at each control cycle (n, 3), m."""
-        return np.column_stack([self.trajectory[f"position_{a}"] for a in "xyz"])
+        return vector_columns(self.trajectory, "position")
 
     @property
     def sites(self) -> Array:
         """Landing site before the decision of each control cycle (n, 3), local frame, m."""
-        return np.column_stack([self.trajectory[f"site_{a}"] for a in "xyz"])
+        return vector_columns(self.trajectory, "site")
 
     @property
     def propellant_used(self) -> float:

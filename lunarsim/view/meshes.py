@@ -6,14 +6,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
+from lunarsim.exports.world import grid_triangles
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.rocks.field import RockField
 from lunarsim.typing import Array
 from lunarsim.view.lander_shape import body_faces
-from lunarsim.world.terrain import Heightfield
+from lunarsim.world.terrain import Heightfield, Terrain
 
 # Maximum number of vertices along a side of the terrain, and of the area of a hazard map.
 _TERRAIN_VERTICES, _MAP_VERTICES = 301, 201
@@ -69,19 +69,10 @@ def map_mesh(relief: Heightfield, grid: Grid, offset: Array) -> tuple[Mesh, NDAr
     u, v = (np.linspace(0.0, 1.0, min(n + 1, _MAP_VERTICES)) for n in (grid.cols, grid.rows))
     x = west + u * (east - west) - offset[0]
     y = south + v * (north - south) - offset[1]
-    mesh = _grid_mesh(x, y, elevation_at(relief, *np.meshgrid(x, y)))
+    points = np.stack(np.meshgrid(x, y), axis=-1)
+    mesh = _grid_mesh(x, y, Terrain(relief).elevation(points))
     at = np.stack(np.meshgrid(u, 1.0 - v), axis=-1)
     return mesh, at.reshape(-1, 2).astype(np.float32)
-
-
-def elevation_at(relief: Heightfield, x: Array, y: Array) -> Array:
-    """Return bilinear elevations of the relief (...,), m; NaN outside.
-
-    `x` and `y` (...,) are the points, m.
-    """
-    g = relief.grid
-    at = np.array([(y - g.y0) / g.posting, (x - g.x0) / g.posting])
-    return np.asarray(ndimage.map_coordinates(relief.z, at, np.float64, 1, "constant", np.nan))
 
 
 def triangles_outside(mesh: Mesh, hole: Mesh) -> NDArray[np.uint32]:
@@ -148,15 +139,11 @@ def _grid_mesh(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> Mesh:
 
     Triangles with an unknown elevation are omitted.
     """
-    rows, cols = z.shape
     known = np.isfinite(z)
     filled = np.where(known, z, np.nanmean(z) if known.any() else 0.0)
     slope_y, slope_x = np.gradient(filled.astype(np.float64), y, x)
     normals = np.stack((-slope_x, -slope_y, np.ones_like(slope_x)), axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    at = np.arange(rows * cols).reshape(rows, cols)
-    sw, se, nw, ne = (c.ravel() for c in (at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]))
-    triangles = np.vstack((np.column_stack((sw, se, ne)), np.column_stack((sw, ne, nw))))
-    triangles = triangles[known.ravel()[triangles].all(axis=1)]
+    triangles = grid_triangles(known)
     vertices = np.stack((*np.meshgrid(x, y), filled), axis=-1)
     return _mesh(vertices.reshape(-1, 3), normals.reshape(-1, 3), triangles)

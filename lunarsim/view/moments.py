@@ -6,10 +6,10 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
+from lunarsim.simulation.columns import vector_columns
 from lunarsim.simulation.flight import Flight
 from lunarsim.typing import Array
 from lunarsim.view.chase_view import Moment
-from lunarsim.view.series import columns_of
 
 
 class FlightMoments:
@@ -28,8 +28,8 @@ class FlightMoments:
         t = flight.trajectory
         # A flight that ends in its first cycle has one row, and an interrupted one may repeat it.
         self._time, rows = np.unique(t["time"], return_index=True)
-        position, velocity = flight.positions[rows], columns_of(t, "velocity")[rows]
-        self._attitudes = Rotation.from_quat(columns_of(t, "attitude", "xyzw")[rows])
+        position, velocity = flight.positions[rows], vector_columns(t, "velocity")[rows]
+        self._attitudes = Rotation.from_quat(vector_columns(t, "attitude", "xyzw")[rows])
         self._is_single = len(rows) == 1
         if self._is_single:
             self._position, self._velocity = position, velocity

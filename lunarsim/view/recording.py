@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from lunarsim.models.lander import Lander
+from lunarsim.simulation.columns import vector_columns
 from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.image_record import ImageRecord
 from lunarsim.simulation.map_record import MapRecord
@@ -30,7 +31,7 @@ from lunarsim.view.meshes import (
     terrain_mesh,
     triangles_outside,
 )
-from lunarsim.view.series import columns_of, plotted_series
+from lunarsim.view.series import plotted_series
 from lunarsim.world import World
 
 # Maximum number of cells along a side of the image of a hazard map.
@@ -77,7 +78,7 @@ class Recording:
             self._log_estimates(part)
             self._last = (
                 float(part.trajectory["time"][-1]), part.positions[-1],
-                columns_of(part.navigation, "position")[-1] if part.navigation else np.zeros(3),
+                vector_columns(part.navigation, "position")[-1] if part.navigation else np.zeros(3),
                 self._local_errors(part)[-1],
             )  # fmt: skip
             for series in plotted_series(part, self._world, self._lander):
@@ -145,15 +146,13 @@ class Recording:
     @staticmethod
     def _local_errors(part: Flight) -> Array:
         """Return local minus true coordinates (n, 3) of the lander in each row, m."""
-        t = part.trajectory
-        estimated = np.column_stack([t[f"estimated_{axis}"] for axis in "xyz"])
-        return np.asarray(estimated - part.positions)
+        return np.asarray(vector_columns(part.trajectory, "estimated") - part.positions)
 
     def _log_states(self, part: Flight) -> None:
         """Log true pose, thrust and path of the lander, and its site."""
         rr, t = self._rr, part.trajectory
         time, positions = t["time"], part.positions
-        quaternions = columns_of(t, "attitude", "xyzw")
+        quaternions = vector_columns(t, "attitude", "xyzw")
         pose = rr.Transform3D.columns(translation=positions, quaternion=quaternions)
         self._send("world/lander", time, pose)
         flames = [flame_vector(self._lander, thrust) for thrust in t["thrust"]]
@@ -184,7 +183,7 @@ class Recording:
         n = part.navigation
         if not n:
             return
-        positions, rr = columns_of(n, "position"), self._rr
+        positions, rr = vector_columns(n, "position"), self._rr
         before = positions[0] if self._last is None else self._last[2]
         self._log_path(PATHS[1], n["time"], positions, before, colours.ESTIMATE)
         upper = np.column_stack(
@@ -286,8 +285,8 @@ class Recording:
             image_plane_distance=np.full(len(zeros), 4.0 * self._lander.leg_radius),
         )
         pose = rr.Transform3D.columns(
-            translation=columns_of(dict(c), "position"),
-            quaternion=columns_of(dict(c), "attitude", "xyzw"),
+            translation=vector_columns(dict(c), "position"),
+            quaternion=vector_columns(dict(c), "attitude", "xyzw"),
         )
         if name not in self._image_bits:
             used = int(images[0].max()).bit_length()

@@ -8,6 +8,7 @@ import numpy as np
 
 from lunarsim.frames import quat_to_matrix
 from lunarsim.models.lander import Lander
+from lunarsim.simulation.columns import vector_columns
 from lunarsim.simulation.flight import Flight
 from lunarsim.typing import Array
 from lunarsim.view.colours import COMMAND, ESTIMATE, FUEL, LIMIT, TRUTH
@@ -49,11 +50,6 @@ def tilt_of(attitude: Array) -> Array:
     return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-def columns_of(table: dict[str, Array], name: str, axes: str = "xyz") -> Array:
-    """Return a vector or quaternion (n, axes) from the columns of a table."""
-    return np.column_stack([table[f"{name}_{axis}"] for axis in axes])
-
-
 def position_sigmas(navigation: dict[str, Array]) -> Array:
     """Return the standard deviations (n, 3) of the estimated position, m."""
     variance = np.column_stack([navigation[f"covariance_{k}{k}"] for k in range(3)])
@@ -66,8 +62,8 @@ def plotted_series(flight: Flight, world: World, lander: Lander) -> list[Series]
     `world` and `lander` are the true ones.
     """
     t, c = flight.trajectory, flight.commands
-    time, velocity = t["time"], columns_of(t, "velocity")
-    tilt = tilt_of(columns_of(t, "attitude", "xyzw"))
+    time, velocity = t["time"], vector_columns(t, "velocity")
+    tilt = tilt_of(vector_columns(t, "attitude", "xyzw"))
     found = [
         Series("plots/altitude/true", "true (m)", TRUTH, time,
                altitude_of(world, flight.positions, flight.target)),
@@ -92,7 +88,7 @@ def _navigation_series(flight: Flight, world: World) -> list[Series]:
     n = flight.navigation
     if not n:
         return []
-    time, position = n["time"], columns_of(n, "position")
+    time, position = n["time"], vector_columns(n, "position")
     found = [
         Series("plots/altitude/estimated", "estimated (m)", ESTIMATE, time,
                altitude_of(world, position, flight.target)),

@@ -166,9 +166,9 @@ class LiveView:
 
 
 def _finish(stream: Any) -> None:
-    """Send what is left of a stream, and end it; raise InputError if the viewer does not take it.
+    """Send what is left of a stream, and end it.
 
-    A viewer that was closed, or failed to start, must not block the command.
+    A viewer that was closed, or failed to start, must not block the command: InputError.
     """
     try:
         stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)

@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from lunarsim.frames import quat_to_matrix
 from lunarsim.models.lander import Lander
 from lunarsim.scenario import Scenario
+from lunarsim.simulation.columns import vector_columns
 from lunarsim.simulation.flight import Flight
 from lunarsim.viz.style import COLOURS, flight_title, new_figure, save
 
@@ -120,7 +121,7 @@ def _draw_speed_and_tilt(speed: Any, tilt: Any, flight: Flight) -> None:
     horizontal = np.hypot(t["velocity_x"], t["velocity_y"])
     speed.plot(t["time"], horizontal, color=COLOURS[1], ls="--", label="horizontal speed")
     speed.set_ylabel("Speed (m/s)")
-    q = np.column_stack([t[f"attitude_{a}"] for a in "xyzw"])
+    q = vector_columns(t, "attitude", "xyzw")
     angle = np.rad2deg(np.arccos(np.clip(quat_to_matrix(q)[:, 2, 2], -1.0, 1.0)))
     tilt.plot(t["time"], angle, color=COLOURS[2], label="tilt from the vertical")
     tilt.set_ylabel("Tilt (deg)")

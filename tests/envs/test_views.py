@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim_envs.chase_view import ASIDE, HEIGHT, WIDTH, ChaseViewRenderer, project
+from lunarsim_envs.chase_view import HEIGHT, PANEL, WIDTH, ChaseViewRenderer, project
 
 ID = "lunarsim_envs:lunarsim/Retarget-v1"
 
@@ -53,7 +53,7 @@ def test_the_terrain_is_rendered_as_the_sensor_meets_it(env):
 def test_gauges_move_with_their_values(env):
     views = env.unwrapped.views
     before = views.gauges()
-    assert before.shape == (HEIGHT - ASIDE, ASIDE, 3)
+    assert before.shape == (HEIGHT - PANEL, PANEL, 3)
     env.step(0)
     assert not np.array_equal(before, views.gauges())
 

@@ -10,8 +10,8 @@ from lunarsim.simulation import Flight, Simulation
 from tests.worlds import TINY_FLIGHT
 
 SCENARIO = Scenario.from_dict(TINY_FLIGHT).changed(
-    sensors={"eye": {"kind": "camera", "width": 48, "height": 32}},
-    tasking={"eye": {"kind": "periodic", "rate_hz": 0.5}},
+    sensors={"camera": {"kind": "camera", "width": 48, "height": 32}},
+    tasking={"camera": {"kind": "periodic", "rate_hz": 0.5}},
     record={"images": True},
     rocks={"shape": "mixed"},
 )

@@ -63,7 +63,7 @@ def stamp(message):
 def test_the_topics(recording):
     assert set(recording) == {
         "/tf", "/path", "/scene", "/scans", "/map/dem", "/events", "/trajectory", "/navigation",
-        "/commands", "/camera/eye/image", "/camera/eye/calibration",
+        "/commands", "/camera/camera/image", "/camera/camera/calibration",
     }  # fmt: skip
 
 
@@ -142,19 +142,19 @@ def test_the_hazard_map_is_where_the_map_is(recording, flight):
 
 
 def test_images_with_their_poses(recording, flight):
-    images = flight.images["eye"]
-    found = recording["/camera/eye/image"]
+    images = flight.images["camera"]
+    found = recording["/camera/camera/image"]
     assert len(found) == len(images) > 5
     for k, (time, message) in enumerate(found):
         assert time == pytest.approx(images.columns["time"][k], abs=1e-6)
-        assert (message.format, message.frame_id) == ("png", "camera.eye")
+        assert (message.format, message.frame_id) == ("png", "camera.camera")
         counts = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_UNCHANGED)
         np.testing.assert_array_equal(counts, images[k])
-    poses = [m for _, m in recording["/tf"] if m.child_frame_id == "camera.eye"]
+    poses = [m for _, m in recording["/tf"] if m.child_frame_id == "camera.camera"]
     for name, axes, part in (("position", "xyz", "translation"), ("attitude", "xyzw", "rotation")):
         rows = [vector(getattr(m, part), axes) for m in poses]
         np.testing.assert_array_equal(rows, columns(images.columns, name, axes))
-    calibration = recording["/camera/eye/calibration"][0][1]
+    calibration = recording["/camera/camera/calibration"][0][1]
     assert (calibration.width, calibration.height) == (48, 32)
     fx, cx, cy = (images.columns[name][0] for name in ("fx", "cx", "cy"))
     assert (calibration.K[0], calibration.K[2], calibration.K[5]) == (fx, cx, cy)

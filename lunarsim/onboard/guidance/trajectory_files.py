@@ -46,8 +46,8 @@ def load_trajectory(path: Path) -> ReferenceTrajectory:
     try:
         return ReferenceTrajectory(table[:, 0], table[:, 1:4], table[:, 4:])
     except InputError as error:
-        where = f"{path}: {error.value}"
-        raise InputError("path", where, error.problem, error.remedy) from None
+        problem = f"{error.problem} ({error.value})"
+        raise InputError("path", str(path), problem, error.remedy) from None
 
 
 def _read_csv(path: Path) -> Array:
@@ -68,6 +68,7 @@ def _oem_rows(lines: list[str]) -> Iterator[list[float]]:
     if not lines or not lines[0].strip().startswith("CCSDS_OEM_VERS"):
         raise ValueError("it does not begin with CCSDS_OEM_VERS")
     start, is_metadata, is_covariance, blocks = None, False, False, 0
+    keys: set[str] = set()
     for number, line in enumerate(map(str.strip, lines), start=1):
         words = line.split()
         if line == "META_START":
@@ -77,7 +78,9 @@ def _oem_rows(lines: list[str]) -> Iterator[list[float]]:
         elif line in ("META_STOP", "COVARIANCE_START", "COVARIANCE_STOP"):
             is_metadata, is_covariance = False, line == "COVARIANCE_START"
         elif is_metadata:
-            _check_metadata(line)
+            keys.add(_checked_key(line))
+        elif not is_covariance and words and _DATE.fullmatch(words[0]) and "REF_FRAME" not in keys:
+            raise ValueError("its metadata do not state REF_FRAME")
         elif words and _DATE.fullmatch(words[0]) and not is_covariance:
             if len(words) not in (7, 10):
                 raise ValueError(f"line {number} has {len(words) - 1} numbers instead of 6 or 9")
@@ -90,13 +93,14 @@ def _oem_rows(lines: list[str]) -> Iterator[list[float]]:
             raise ValueError(f"line {number} is not a state")
 
 
-def _check_metadata(line: str) -> None:
-    """Raise ValueError if a line of the metadata names another body or frame."""
+def _checked_key(line: str) -> str:
+    """Return the key of a line of the metadata; ValueError if it names another body or frame."""
     key, _, value = (text.strip() for text in line.partition("="))
     if key == "CENTER_NAME" and value.upper() != "MOON":
         raise ValueError(f"CENTER_NAME is {value!r} instead of MOON")
     if key == "REF_FRAME" and value.upper() != SITE_FRAME_NAME:
         raise ValueError(f"REF_FRAME is {value!r} instead of {SITE_FRAME_NAME}")
+    return key
 
 
 def _numbers(texts: list[str], line: int) -> list[float]:
