@@ -160,7 +160,7 @@ def relief_mesh(elevation: NDArray[np.float32], grid: Grid) -> tuple[Array, IntA
 
 
 def grid_triangles(known: NDArray[np.bool_]) -> IntArray:
-    """Return the triangles (m, 3) between grid points, as indices of the flattened grid.
+    """Return the triangles (m, 3) between points of a grid, as flat indices.
 
     Squares with a point that is not `known` (rows, cols), row 0 south, are omitted. The diagonal of
     a square runs from south-west to north-east; the triangles are anticlockwise from above.

@@ -94,7 +94,7 @@ def _oem_rows(lines: list[str]) -> Iterator[list[float]]:
 
 
 def _checked_key(line: str) -> str:
-    """Return the key of a line of the metadata; ValueError if it names another body or frame."""
+    """Return the key of a metadata line; ValueError for another body or frame."""
     key, _, value = (text.strip() for text in line.partition("="))
     if key == "CENTER_NAME" and value.upper() != "MOON":
         raise ValueError(f"CENTER_NAME is {value!r} instead of MOON")
