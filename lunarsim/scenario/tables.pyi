@@ -419,6 +419,8 @@ class DescentRewardChanges(TypedDict, total=False):
 
 class TerrainTable(SelectedPart):
     kind: str
+    albedo_path: Path | str | None
+    albedo_posting_m: float | None
     boulders: int
     crater_degradation: Literal["uniform", "diffusion"]
     crater_density: float | None
@@ -446,6 +448,8 @@ class TerrainTable(SelectedPart):
 
 class TerrainChanges(TypedDict, total=False):
     kind: str
+    albedo_path: Path | str | None
+    albedo_posting_m: float | None
     boulders: int
     crater_degradation: Literal["uniform", "diffusion"]
     crater_density: float | None

@@ -34,6 +34,8 @@ from lunarsim.view.meshes import (
 from lunarsim.view.series import plotted_series
 from lunarsim.world import World
 
+# Grey level of terrain with the mean albedo.
+_TERRAIN_GREY = 150
 # Maximum number of cells along a side of the image of a hazard map.
 _MAX_CELLS = 1024
 _RING_POINTS = 49
@@ -121,8 +123,11 @@ class Recording:
         self._log_now("world/site/ring", site)
 
     def _terrain_greys(self, mesh: Mesh) -> Array:
-        """Return RGB colours (n, 3) of the terrain: grey."""
-        return np.full((len(mesh.vertices), 3), 150, np.uint8)
+        """Return RGB colours (n, 3) of the terrain: grey, times its relative albedo."""
+        albedo = self._world.terrain.albedo
+        relative = 1.0 if albedo is None else albedo.at(mesh.vertices[:, :2])[:, None]
+        grey = np.full((len(mesh.vertices), 3), _TERRAIN_GREY) * relative
+        return np.clip(grey, 0.0, 255.0).astype(np.uint8)
 
     def _mesh(self, mesh: Mesh, **more: Any) -> Any:
         """Return a mesh of Rerun; `more` are its other components."""

@@ -35,6 +35,7 @@ FRAME = np.dtype(
         ("penumbra", "4f4"),
         ("glow_from", "4f4"),
         ("mottle_from", "4f4"),
+        ("albedo_from", "4f4"),
     ]
 )
 

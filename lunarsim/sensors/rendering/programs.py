@@ -48,7 +48,7 @@ def tile_mesh(ctx: moderngl.Context, level: int) -> tuple[moderngl.Buffer, moder
 
 
 # Texture units, and the names of their samplers in the shaders.
-CORNERS, SHADOW, DEPTHS, ROCKS, BOUNDS, GLOW, MOTTLES = range(7)
+CORNERS, SHADOW, DEPTHS, ROCKS, BOUNDS, GLOW, MOTTLES, ALBEDO_MAP = range(8)
 _UNITS = {
     "corners": CORNERS,
     "shadow": SHADOW,
@@ -57,6 +57,7 @@ _UNITS = {
     "bounds": BOUNDS,
     "glow": GLOW,
     "mottles": MOTTLES,
+    "albedo_map": ALBEDO_MAP,
 }
 
 # Side of the blocks of the shadow map whose minimum and maximum depth are computed, texels.

@@ -95,7 +95,7 @@ class Renderer:
         self._targets: dict[tuple[int, int, bool], ImageTarget] = {}
         self._shadow: ShadowMap | None = None
         self._bounds: PenumbraBounds | None = None
-        self._surface = SurfaceTextures(ctx, relief)
+        self._surface = SurfaceTextures(ctx, terrain)
 
     @on_render_thread
     def render(
@@ -276,7 +276,7 @@ class Renderer:
         self._surface.use(light, view.position, block)
         if light.boulder_albedo_variation > 0.0 or light.boulder_albedo != 1.0:
             self._rocks.set_albedo(rock_albedos(light, self._rocks.count))
-        model = ShadingModel.of(light)
+        model = ShadingModel.of(light, has_albedo_map=self._surface.has_albedo_map)
         return shading_programs(self._ctx, model.with_wide_penumbrae() if wide else model)
 
     def _set_penumbra(

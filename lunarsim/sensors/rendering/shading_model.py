@@ -29,8 +29,8 @@ class ShadingModel:
     defines: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, light: Light) -> ShadingModel:
-        """Return the shader definitions for a light.
+    def of(cls, light: Light, *, has_albedo_map: bool) -> ShadingModel:
+        """Return the shader definitions for a light, and for terrain with an albedo map.
 
         They include the direction of the Earth, but not that of the Sun.
         """
@@ -45,6 +45,8 @@ class ShadingModel:
             found.append(
                 f"MOTTLE {_glsl_number(2.0 * ALBEDO_FIELD_RANGE * light.albedo_variation)}"
             )
+        if has_albedo_map:
+            found.append("ALBEDO_MAP")
         if light.boulder_albedo_variation > 0.0 or light.boulder_albedo != 1.0:
             found.append("BOULDERS")
         return cls(tuple(found))
@@ -65,7 +67,7 @@ class ShadingModel:
         That is a Sun disc, scattered light, earthshine, or albedo that varies.
         """
         names = {line.split()[0] for line in self.defines}
-        return bool(names & {"SOFT", "GLOW", "EARTH", "MOTTLE", "BOULDERS"})
+        return bool(names & {"SOFT", "GLOW", "EARTH", "MOTTLE", "ALBEDO_MAP", "BOULDERS"})
 
     def sources(self) -> tuple[str, ...]:
         """Return the shader files that compute the radiance of a point, in order."""

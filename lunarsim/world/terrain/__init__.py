@@ -1,5 +1,6 @@
 """True terrain: measured or procedural relief with rocks, and its queries."""
 
+from lunarsim.world.terrain.albedo_map import AlbedoMap
 from lunarsim.world.terrain.crater_ages import AgedCraters
 from lunarsim.world.terrain.craters import CraterLaw, add_craters, crater_profile
 from lunarsim.world.terrain.fillets import add_fillets
@@ -12,6 +13,7 @@ from lunarsim.world.terrain.terrain import RayHits, Terrain
 
 __all__ = [
     "AgedCraters",
+    "AlbedoMap",
     "CraterClusters",
     "CraterLaw",
     "Heightfield",

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from rasterio.crs import CRS
 from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
@@ -236,6 +237,18 @@ def load_terrain(
     # Heights may be radii of the body: subtract the mean before rounding to single precision.
     mean = float(np.float32(np.nanmean(z)))
     return Heightfield(grid, (z - mean).astype(np.float32))
+
+
+def read_frame(
+    path: Path, *, posting: float | None = None, window: tuple[int, int, int, int] | None = None
+) -> tuple[Frame, CRS | None]:
+    """Return the frame of an elevation raster and its coordinate reference system.
+
+    The parameters are those of `load_terrain`. The reference system is None without georeferencing.
+    """
+    with open_raster(path) as source:
+        frame = frame_of_window(source, _window(window, source), posting)
+        return frame, source.crs if is_placed(source) else None
 
 
 def _square_grid_heights(

@@ -51,6 +51,8 @@ class Frame:
         directions.
     metres_per_map_unit
         Length of a map unit as stated by the file, m; None in degrees.
+    origin
+        Longitude and latitude, deg, or map coordinates of a plane map, of the frame's origin.
     """
 
     description: str
@@ -61,6 +63,7 @@ class Frame:
     rows: int
     nominal_posting: float | None
     metres_per_map_unit: float | None
+    origin: tuple[float, float]
 
     def local(self, cols: ArrayLike, rows: ArrayLike) -> tuple[Array, Array]:
         """Return east and north, m, at fractional columns and rows of the window."""
@@ -155,7 +158,9 @@ class Orientation:
         )
 
 
-def frame_of_window(source: DatasetReader, window: Window, posting: float | None) -> Frame:
+def frame_of_window(
+    source: DatasetReader, window: Window, posting: float | None, around: Frame | None = None
+) -> Frame:
     """Return the local frame of a window of a raster.
 
     Parameters
@@ -166,6 +171,8 @@ def frame_of_window(source: DatasetReader, window: Window, posting: float | None
         Rows and columns to use.
     posting
         Grid spacing, m, of a file without a coordinate reference system.
+    around
+        Frame of another raster, whose origin is used; omitted: the centre of the window.
 
     Raises
     ------
@@ -181,7 +188,7 @@ def frame_of_window(source: DatasetReader, window: Window, posting: float | None
         raise _refusal(source, "has an affine transform that is singular or not finite")
     cols, rows = int(window.width), int(window.height)
     metres: float | None
-    centre = transform @ (0.5 * cols, 0.5 * rows)
+    centre = around.origin if around else transform @ (0.5 * cols, 0.5 * rows)
     if not is_placed(source):
         if posting is None:
             found = [
@@ -204,7 +211,9 @@ def frame_of_window(source: DatasetReader, window: Window, posting: float | None
         _check_axes(source)
         name = _name(source.crs) + (", degrees" if source.crs.is_geographic else "")
         metres = None if source.crs.is_geographic else float(source.crs.linear_units_factor[1])
-        mappings = _spherical_mappings(source, transform, cols, rows)
+        centre, mappings = _spherical_mappings(
+            source, transform, cols, rows, around.origin if around else None
+        )
     else:
         raise _refusal(
             source,
@@ -213,7 +222,7 @@ def frame_of_window(source: DatasetReader, window: Window, posting: float | None
     across, along = _step_lengths(transform)
     equal = metres is not None and abs(across - along) <= MAX_MISPLACEMENT * across
     nominal = posting if not is_placed(source) else (metres * across if metres and equal else None)
-    return Frame(name, *mappings, transform, cols, rows, nominal, metres)
+    return Frame(name, *mappings, transform, cols, rows, nominal, metres, centre)
 
 
 def is_placed(source: DatasetReader) -> bool:
@@ -277,18 +286,23 @@ def _plane_mappings(centre: tuple[float, float], metres: float) -> tuple[Mapping
 
 
 def _spherical_mappings(
-    source: DatasetReader, transform: Affine, cols: int, rows: int
-) -> tuple[Mapping, Mapping]:
-    """Return mappings between map coordinates and a local frame, in both directions.
+    source: DatasetReader,
+    transform: Affine,
+    cols: int,
+    rows: int,
+    origin: tuple[float, float] | None,
+) -> tuple[tuple[float, float], tuple[Mapping, Mapping]]:
+    """Return origin of a local frame, and mappings between map and frame.
 
-    The local frame is an azimuthal equidistant projection about the centre of a window of `cols` x
-    `rows`; `transform` converts columns and rows to map coordinates.
+    The local frame is an azimuthal equidistant projection about `origin` (longitude and latitude,
+    deg), or about the centre of a window of `cols` x `rows`; `transform` converts columns and rows
+    to map coordinates.
     """
     body = _body(source.crs)
     crs = _on_sphere(source.crs, body)
     cx, cy = transform @ (0.5 * cols, 0.5 * rows)
     globe = CRS.from_dict({"proj": "longlat"} | body)
-    (lon,), (lat,) = warp(crs, globe, [cx], [cy])
+    (lon,), (lat,) = warp(crs, globe, [cx], [cy]) if origin is None else zip(origin)
     if not np.isfinite([lon, lat]).all():
         raise _refusal(source, "has its centre outside the domain of its projection")
     edge = _refusal(
@@ -322,7 +336,7 @@ def _spherical_mappings(
         again = to_map(east, north)
         off = np.hypot(again[0] - x, again[1] - y) / min(_step_lengths(transform))
         if np.all(off[np.isfinite(off)] < _MAX_ROUND_TRIP_POSTS):
-            return to_local, to_map
+            return (lon, lat), (to_local, to_map)
     raise edge
 
 

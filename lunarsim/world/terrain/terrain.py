@@ -12,6 +12,7 @@ from lunarsim.rocks.field import RockField
 from lunarsim.rocks.shapes import shape_table
 from lunarsim.typing import Array, IntArray
 from lunarsim.world.terrain import _ray_kernels, _surface_kernels
+from lunarsim.world.terrain.albedo_map import AlbedoMap
 from lunarsim.world.terrain.heightfield import Heightfield
 
 # Side of a bucket of rocks in the ray caster, m: about the size of a large rock.
@@ -50,6 +51,8 @@ class Terrain:
         Relief without rocks.
     rocks
         Rocks on the relief.
+    albedo
+        Relative albedo of the relief in images; None: uniform.
 
     Examples
     --------
@@ -63,6 +66,7 @@ class Terrain:
 
     relief: Heightfield
     rocks: RockField = field(default_factory=RockField.empty)
+    albedo: AlbedoMap | None = field(default=None, repr=False)
 
     # Arguments of the kernels: first grid point (x, y) and spacing; rocks; pyramid of maxima.
     _frame: tuple[float, float, float] = field(init=False, repr=False, compare=False)

@@ -13,6 +13,7 @@ from lunarsim.rocks.population import RockPopulation
 from lunarsim.rocks.size_distribution import sample_diameters
 from lunarsim.world.terrain import (
     AgedCraters,
+    AlbedoMap,
     CraterClusters,
     Heightfield,
     Terrain,
@@ -42,6 +43,7 @@ def add_rocks(
     rocks: RockPopulation,
     streams: RandomStreams,
     craters: Callable[[], AgedCraters] | None = None,
+    albedo: AlbedoMap | None = None,
 ) -> Terrain:
     """Return the terrain of one flight: relief with random rocks or with given rocks.
 
@@ -56,6 +58,8 @@ def add_rocks(
     craters
         Function that returns the craters of the relief; called only if rocks cluster around
         craters. Omitted: the relief has no known craters.
+    albedo
+        Relative albedo of the relief; omitted: uniform.
 
     Raises
     ------
@@ -85,7 +89,7 @@ def add_rocks(
             middles = found.x[old], found.y[old]
             clusters = CraterClusters(*middles, 0.5 * found.diameter[old], rocks.cluster_fraction)
         field = place_rocks(relief, diameters, rng, model=rocks.model(), clusters=clusters)
-    return Terrain(add_fillets(relief, field, rocks.fillet_height_ratio), field)
+    return Terrain(add_fillets(relief, field, rocks.fillet_height_ratio), field, albedo)
 
 
 def check_posts(size: float, posting: float) -> None:

@@ -10,12 +10,14 @@ from lunarsim.errors import InputError
 from lunarsim.parts.quantity import quantity
 from lunarsim.rng import RandomStreams
 from lunarsim.rocks.population import RockPopulation
-from lunarsim.world.terrain import Heightfield, Terrain, add_detail
+from lunarsim.world.terrain import AlbedoMap, Heightfield, Terrain, add_detail
 from lunarsim.world.terrain_models.interface import MAX_POSTS_PER_SIDE, add_rocks
 from lunarsim.world.terrain_models.roughness import ReliefRoughness
 
 # One number or several.
 Numbers = float | tuple[float, ...]
+# West, east, south and north edge, m.
+Bounds = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,8 @@ class RasterTerrain(ReliefRoughness):
         addition to those stated by the file.
     height_step
         Quantization step of the elevations, m.
+    albedo_path, albedo_posting
+        Orthoimage or albedo map of the terrain, and its pixel size if it has no georeferencing, m.
     mirrored_size
         Side of the square to which the raster is extended by mirroring at its edges, for sensors
         that see beyond the raster, m.
@@ -87,6 +91,18 @@ class RasterTerrain(ReliefRoughness):
         help="side of the square to which the raster is extended by mirroring at its edges; "
         "omitted: no extension",
     )
+    albedo_path: Path | None = quantity(
+        None,
+        help="orthoimage or albedo map that gives the relative albedo of the terrain in images: "
+        "raster file, relative to the scenario file; omitted: uniform albedo",
+    )
+    albedo_posting: float | None = quantity(
+        None,
+        "m",
+        gt=0,
+        help="pixel size of the image at albedo_path if it or the raster has no georeferencing; it "
+        "then lies north up, with its centre at the centre of the raster",
+    )
     posting: float = quantity(
         0.25, "m", gt=0, help="grid spacing of the relief that is interpolated from the raster"
     )
@@ -100,7 +116,8 @@ class RasterTerrain(ReliefRoughness):
 
     def check_files(self) -> None:
         """Raise InputError if the raster is unreadable or does not fit these settings."""
-        _load_measured(self)
+        measured, edges = _load_measured(self)
+        _load_albedo(self, edges, measured.bounds)
 
     def posts(self) -> tuple[int, float]:
         """Return the numbers of grid points of the raster and of the refined relief.
@@ -120,15 +137,19 @@ class RasterTerrain(ReliefRoughness):
 
         `rocks` is the population to sample from, `streams` are the flight's random streams.
         """
-        return add_rocks(self.relief(), rocks, streams)
+        relief, albedo = _cached_surface(self)
+        return add_rocks(relief, rocks, streams, albedo=albedo)
 
     def relief(self) -> Heightfield:
         """Return the relief without rocks."""
-        return _cached_relief(self)
+        return _cached_surface(self)[0]
 
 
-def _load_measured(model: RasterTerrain) -> Heightfield:
-    """Load the elevations of the raster of `model`; dequantize, scale and mirror them."""
+def _load_measured(model: RasterTerrain) -> tuple[Heightfield, Bounds]:
+    """Load the elevations of the raster of `model`; dequantize, scale and mirror them.
+
+    The second value are the edges before mirroring.
+    """
     from lunarsim.world.terrain.dtm import load_terrain  # noqa: PLC0415  (rasterio loads slowly)
 
     assert model.path is not None
@@ -139,12 +160,30 @@ def _load_measured(model: RasterTerrain) -> Heightfield:
     if model.height_step is not None:
         measured = measured.dequantised(model.height_step)
     measured = measured.scaled(model.relief_scale)
+    edges = measured.bounds
     if model.mirrored_size is not None:
         _check_posts(model, model.mirrored_size)
         measured = measured.mirrored(model.mirrored_size)
     west, east, south, north = measured.bounds
     _check_posts(model, max(east - west, north - south))
-    return measured
+    return measured, edges
+
+
+def _load_albedo(model: RasterTerrain, measured: Bounds, complete: Bounds) -> AlbedoMap | None:
+    """Load the relative albedo of the terrain of `model`; None if it has no image.
+
+    `measured` and `complete` are the edges (m) of the terrain before and after mirroring.
+    """
+    if model.albedo_path is None:
+        return None
+    # rasterio loads slowly
+    from lunarsim.world.terrain.albedo_image import Placement, load_albedo_map  # noqa: PLC0415
+    from lunarsim.world.terrain.dtm import read_frame  # noqa: PLC0415
+
+    assert model.path is not None
+    frame = read_frame(model.path, posting=model.dtm_posting, window=model.dtm_window)
+    placement = Placement(*frame, measured, complete)
+    return load_albedo_map(model.albedo_path, model.albedo_posting, placement)
 
 
 def _check_posts(model: RasterTerrain, side: float) -> None:
@@ -161,11 +200,13 @@ def _check_posts(model: RasterTerrain, side: float) -> None:
 
 
 @lru_cache(maxsize=4)
-def _cached_relief(model: RasterTerrain) -> Heightfield:
-    measured = _load_measured(model)
+def _cached_surface(model: RasterTerrain) -> tuple[Heightfield, AlbedoMap | None]:
+    """Return the relief of a raster and its relative albedo, if it has an image."""
+    measured, edges = _load_measured(model)
+    albedo = _load_albedo(model, edges, measured.bounds)
     fine = measured.refined(model.posting)
     if not model.detail:
-        return fine
+        return fine, albedo
     # The measurement already contains the craters that its grid resolves.
     largest = 2.0 * measured.grid.posting
-    return add_detail(measured, model.procedural_relief(fine.grid, largest))
+    return add_detail(measured, model.procedural_relief(fine.grid, largest)), albedo

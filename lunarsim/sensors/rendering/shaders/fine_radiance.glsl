@@ -23,7 +23,7 @@ float radiance(Light light, vec3 rel, vec3 n, bool stone, float brightness) {
     return brightness * (direct + diffuse);
 }
 
-#ifdef MOTTLE
+#if defined(MOTTLE) || defined(ALBEDO_MAP)
 #define GROUND(light, rel, n) radiance(light, rel, n, false, ground_albedo(rel))
 #else
 #define GROUND(light, rel, n) radiance(light, rel, n, false, 1.0)

@@ -24,6 +24,7 @@ layout(std140) uniform Frame {
                               // depth; size of a texel in the texture of its bounds
     vec4 glow_from;           // scale and offset from metres relative to the camera to the scattered light
     vec4 mottle_from;         // the same for the albedo field
+    vec4 albedo_from;         // the same for the albedo map
 };
 
 // The ray through a point of the image (the centre of the first pixel is at 0.5), ENU, with length 1

@@ -8,6 +8,9 @@ flat out Light light;
 #ifdef MOTTLE
 flat out vec4 to_mottles;
 #endif
+#ifdef ALBEDO_MAP
+flat out vec4 to_albedo;
+#endif
 
 void main() {
     vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1);
@@ -20,5 +23,8 @@ void main() {
     light = given_light();
 #ifdef MOTTLE
     to_mottles = mottle_from;
+#endif
+#ifdef ALBEDO_MAP
+    to_albedo = albedo_from;
 #endif
 }

@@ -9,14 +9,25 @@ flat in vec2 depth;
 flat in Light light;
 
 #ifdef MOTTLE
-uniform sampler2D mottles;   // albedo field of the terrain
+uniform sampler2D mottles;   // random albedo field of the terrain
 flat in vec4 to_mottles;
+#endif
+#ifdef ALBEDO_MAP
+uniform sampler2D albedo_map;   // albedo of the terrain over its mean
+flat in vec4 to_albedo;
+#endif
 
 float ground_albedo(vec3 rel) {
+    float albedo = 1.0;
+#ifdef MOTTLE
     // The field can be negative at four standard deviations below the mean.
-    return max(1.0 + MOTTLE * (texture(mottles, rel.xy * to_mottles.xy + to_mottles.zw).r - 128.0 / 255.0), 0.02);
-}
+    albedo = max(1.0 + MOTTLE * (texture(mottles, rel.xy * to_mottles.xy + to_mottles.zw).r - 128.0 / 255.0), 0.02);
 #endif
+#ifdef ALBEDO_MAP
+    albedo *= texture(albedo_map, rel.xy * to_albedo.xy + to_albedo.zw).r;
+#endif
+    return albedo;
+}
 
 // Plane of the facet at a point: its gradient, and its height relative to the camera, m.
 vec3 facet_at(vec3 rel) {
