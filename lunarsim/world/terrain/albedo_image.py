@@ -146,7 +146,7 @@ def _sampled(image: DatasetReader, frame: Frame, x: Array, y: Array, posting: fl
     at = [(row - top) / factor - 0.5, (col - left) / factor - 0.5]
     value, weight = (map_coordinates(v, at, order=1, mode="grid-constant") for v in (total, known))
     with np.errstate(invalid="ignore"):
-        found = np.where(weight > 0.5 * factor**2, value / weight, np.nan)
+        found = np.where(weight > 0.0, value / weight, np.nan)
     return np.asarray(found[np.ix_(at_rows, at_cols)])
 
 
