@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 import shutil
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
 
 def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
     """Write a file atomically: to a temporary file that is then renamed to `path`.
+
+    Several processes may write the same file: the last complete one stays.
 
     Parameters
     ----------
@@ -29,7 +32,7 @@ def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
     OSError
         With `path` as its file name, for instance if the disk is full.
     """
-    temporary = path.with_name(f".{path.name}.part")
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
     try:
         write(temporary)
         with temporary.open("rb") as file:

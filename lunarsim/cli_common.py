@@ -231,26 +231,29 @@ def load_scenario(
 
     allow_named_modules(*changes, *filter(None, (parts or {}).values()))
     loaded = Scenario.load(found(path_or_name))
-    for contract, kind in (parts or {}).items():
-        loaded = _with_part(loaded, contract, kind)
-    loaded = with_changes(loaded, changes)
+    selected = [
+        change
+        for contract, kind in (parts or {}).items()
+        for change in _selection(loaded, contract, kind)
+    ]
+    loaded = with_changes(loaded, [*selected, *changes])
     for note in warnings_for(loaded) if is_flown else ():
         click.echo(f"warning: {note}", err=True)
     return loaded
 
 
-def _with_part(scenario: Scenario, contract: str, kind: str | None) -> Scenario:
-    """Return a scenario with a component of another kind, with that kind's defaults.
+def _selection(scenario: Scenario, contract: str, kind: str | None) -> list[str]:
+    """Return the change that selects a component of another kind.
 
-    `contract` is the type of component, such as "guidance"; None as `kind` changes nothing.
+    Its keys have the defaults of that kind. `contract` is the type of component, such as
+    "guidance"; None as `kind` changes nothing.
     """
     from lunarsim.parts import resolve
 
     if kind is None or kind == getattr(scenario, contract).kind:
-        return scenario
+        return []
     resolve(contract, kind, f"--{contract}")
-    change: Any = {contract: {"kind": kind}}
-    return scenario.changed(**change)
+    return [f'{contract}.kind="{kind}"']
 
 
 # --- output -------------------------------------------------------------------------------------

@@ -39,7 +39,8 @@ def read_csv_columns(
 ) -> dict[str, Array]:
     """Return columns (n,) by name from a CSV file with units in its header.
 
-    A heading is, for instance, ``time (s)``. Empty cells are NaN; empty rows are ignored.
+    A heading is, for instance, ``time (s)``. Empty cells are NaN; empty rows and lines that begin
+    with "#" are ignored.
 
     Parameters
     ----------
@@ -57,9 +58,10 @@ def read_csv_columns(
     OSError
         If the file cannot be read.
     """
-    reader = csv.reader(read_text_lines(path), strict=True)
+    lines = ("" if line.startswith("#") else line for line in read_text_lines(path))
+    reader = csv.reader(lines, strict=True)
     try:
-        header = next(reader, [])
+        header = next((cells for cells in reader if any(map(str.strip, cells))), [])
         headings = [(k, m) for k, text in enumerate(header) if (m := _HEADING.fullmatch(text))]
         found = {m[1]: (k, m[2]) for k, m in headings}
         wanted = [*columns, *((name, unit) for name, unit in optional if name in found)]

@@ -288,3 +288,6 @@ def test_set_applies_to_the_parts_that_options_name(command, tmp_path):
     assert (flown.guidance.kind, flown.guidance.gamma) == ("fractional-polynomial", 0.6)
     assert (flown.policy.kind, flown.policy.p_safe_min) == ("nearest-safe", 0.9)
     assert run(command, str(tiny), *changes, "--out", str(tmp_path / "other")).exit_code == 2
+    more = ["--set", "guidance.path=no.oem", "--out", str(tmp_path / "other")]
+    done = run(command, str(tiny), "--guidance", "trajectory", *more)
+    assert (done.exit_code, "guidance.path: " in done.output) == (2, True)

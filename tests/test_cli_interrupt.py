@@ -275,6 +275,19 @@ def test_a_file_is_there_whole_or_not_at_all(tmp_path):
     assert state(tmp_path) == {path: b"new"}
 
 
+def test_two_writers_of_one_file_do_not_mix(tmp_path):
+    path = tmp_path / "a.txt"
+
+    def slow(part):
+        part.write_text("first, ")
+        atomic_write_text(path, "second")
+        with part.open("a") as file:
+            file.write("first")
+
+    atomic_write(path, slow)
+    assert state(tmp_path) == {path: b"first, first"}
+
+
 def test_a_folder_that_was_there_stays_and_what_is_made_goes(tmp_path):
     kept = tmp_path / "kept"
     kept.mkdir()

@@ -88,7 +88,7 @@ def _grid(terrain: Terrain, posting: float | None) -> Grid:
             raise InputError("--posting", posting, "must be positive and finite")
         west, east, south, north = terrain.bounds
         sides = np.floor([(north - south) / posting + 1e-9, (east - west) / posting + 1e-9]) + 1.0
-        if sides.prod() > MAX_POINTS or sides.min() < 2.0:
+        if sides.max() > MAX_POINTS or sides.prod() > MAX_POINTS or sides.min() < 2.0:
             raise InputError(
                 "--posting", posting, f"must give at least 2 x 2 and at most {MAX_POINTS} points"
             )

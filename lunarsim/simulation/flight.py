@@ -361,7 +361,7 @@ class Flight:
                 seed=record["seed"],
                 policy=record["policy"],
                 outcome=_landing_outcome(record["outcome"]),
-                target=np.array(record["target"]),
+                target=_target(record["target"]),
                 trajectory=trajectory,
                 **{
                     table.name: read_table(folder, table, rows.get(table))
@@ -399,6 +399,14 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     return value
+
+
+def _target(record: Any) -> Array:
+    """Return the target (3,), m, from its entry in ``flight.json``."""
+    target = np.array(record, dtype=np.float64)
+    if target.shape != (3,) or not np.isfinite(target).all():
+        raise ValueError(f"target must be three finite numbers, not {record}")
+    return target
 
 
 def _landing_outcome(record: dict[str, Any]) -> LandingOutcome:

@@ -68,6 +68,13 @@ def test_every_file_has_its_digest(folder):
     use(folder)  # a record of before there were digests
 
 
+@pytest.mark.parametrize("target", [[0.0, float("nan"), 0.0], [0.0, 0.0], None, "here"])
+def test_the_target_is_a_point(folder, target):
+    edit(folder, lambda tables: tables.update(target=target))
+    with pytest.raises(InputError, match=r"flight\.json"):
+        use(folder)
+
+
 @pytest.mark.parametrize(
     "name", ["trajectory.parquet", "scans.parquet", "candidates.parquet", "maps/dem.nc"]
 )

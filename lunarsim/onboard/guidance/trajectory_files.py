@@ -22,7 +22,10 @@ _COLUMNS = (
     *((f"position_{axis}", "m") for axis in "xyz"),
     *((f"velocity_{axis}", "m/s") for axis in "xyz"),
 )
-_DATE = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?Z?")
+# Calendar date, or year and day of the year (CCSDS 301.0-B, ASCII time codes A and B).
+_DATE = re.compile(r"(\d{4})-(?:\d\d-\d\d|(\d{3}))(T\d\d:\d\d:\d\d(?:\.\d+)?)Z?")
+# Keys of the metadata, and the values that they must have.
+_REQUIRED = {"CENTER_NAME": "MOON", "REF_FRAME": SITE_FRAME_NAME}
 
 
 def load_trajectory(path: Path) -> ReferenceTrajectory:
@@ -79,12 +82,12 @@ def _oem_rows(lines: list[str]) -> Iterator[list[float]]:
             is_metadata, is_covariance = False, line == "COVARIANCE_START"
         elif is_metadata:
             keys.add(_checked_key(line))
-        elif not is_covariance and words and _DATE.fullmatch(words[0]) and "REF_FRAME" not in keys:
-            raise ValueError("its metadata do not state REF_FRAME")
         elif words and _DATE.fullmatch(words[0]) and not is_covariance:
+            if missing := sorted(_REQUIRED.keys() - keys):
+                raise ValueError(f"its metadata do not state {missing[0]}")
             if len(words) not in (7, 10):
                 raise ValueError(f"line {number} has {len(words) - 1} numbers instead of 6 or 9")
-            date = np.datetime64(words[0].removesuffix("Z"), "ns")
+            date = _date(words[0])
             start = date if start is None else start
             numbers = _numbers(words[1:7], number)
             time = float((date - start) / np.timedelta64(1, "ns")) * 1e-9
@@ -96,11 +99,23 @@ def _oem_rows(lines: list[str]) -> Iterator[list[float]]:
 def _checked_key(line: str) -> str:
     """Return the key of a metadata line; ValueError for another body or frame."""
     key, _, value = (text.strip() for text in line.partition("="))
-    if key == "CENTER_NAME" and value.upper() != "MOON":
-        raise ValueError(f"CENTER_NAME is {value!r} instead of MOON")
-    if key == "REF_FRAME" and value.upper() != SITE_FRAME_NAME:
-        raise ValueError(f"REF_FRAME is {value!r} instead of {SITE_FRAME_NAME}")
+    if key in _REQUIRED and value.upper() != _REQUIRED[key]:
+        raise ValueError(f"{key} is {value!r} instead of {_REQUIRED[key]}")
     return key
+
+
+def _date(text: str) -> np.datetime64:
+    """Return a calendar date or a day of the year; ValueError if there is none."""
+    date = _DATE.fullmatch(text)
+    assert date is not None
+    year, day, time = date.groups()
+    if day is None:
+        return np.datetime64(text.removesuffix("Z"), "ns")
+    first = np.datetime64(f"{year}-01-01", "D")
+    found = first + np.timedelta64(int(day) - 1, "D")
+    if str(found)[:4] != year:
+        raise ValueError(f"the year {year} has no day {day}")
+    return np.datetime64(f"{found}{time}", "ns")
 
 
 def _numbers(texts: list[str], line: int) -> list[float]:

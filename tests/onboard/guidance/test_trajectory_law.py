@@ -82,6 +82,25 @@ def test_other_epochs_change_nothing(reference, tmp_path):
     np.testing.assert_array_equal(one.reference().position, other.reference().position)
 
 
+def test_days_of_the_year_are_dates(reference, tmp_path):
+    first, folder = reference
+    export_flight(first, "oem", tmp_path / "b.oem", ExportOptions(epoch="2028-02-29T23:59:50"))
+    text = (tmp_path / "b.oem").read_text()
+    assert "2028-03-01T" in text
+    text = text.replace("2028-02-29T", "2028-060T").replace("2028-03-01T", "2028-061T")
+    (tmp_path / "b.oem").write_text(text)
+    one, other = TrajectoryLaw(path=folder / "a.oem"), TrajectoryLaw(path=tmp_path / "b.oem")
+    np.testing.assert_allclose(one.reference().time, other.reference().time, atol=1e-9)
+
+
+def test_comment_lines_of_a_csv_file_are_ignored(tmp_path):
+    text = straight(tmp_path).read_text()
+    first, *rest = text.splitlines()
+    (tmp_path / "b.csv").write_text("\n".join(["# made by hand", first, "# states", *rest]))
+    one, other = (TrajectoryLaw(path=tmp_path / n).reference() for n in ("line.csv", "b.csv"))
+    np.testing.assert_array_equal(one.position, other.position)
+
+
 def test_a_reference_of_the_estimate_with_covariance_is_read(reference, tmp_path):
     first, _ = reference
     export_flight(first, "oem", tmp_path / "b.oem", ExportOptions(state="estimate"))
@@ -243,7 +262,8 @@ FIRST, LAST = "0,0,0,400,0,0,-20\n", "1,0,0,380.5,0,0,-19\n"
         (HEAD, "at least two states"),
         (HEAD + FIRST, "at least two states"),
         (HEAD + FIRST + "0,0,0,380.5,0,0,-19\n", "strictly increasing times"),
-        (HEAD + FIRST + LAST + FIRST, r"strictly increasing times.*\(state 2\)"),
+        (HEAD + FIRST + LAST + FIRST, r"strictly increasing times.*\(state 3\)"),
+        ("# from a flight\n\n" + HEAD + FIRST + "# end\n1,0,0,x,0,0,-19\n", "line 6 has a value"),
         (HEAD + FIRST + "1,0,0,nan,0,0,-19\n", "finite numbers"),
         (HEAD + FIRST + "inf,0,0,1,0,0,-19\n", "finite numbers"),
         (HEAD + FIRST + "1,0,0,x,0,0,-19\n", "line 3 has a value that is not a number"),
@@ -279,6 +299,9 @@ def test_exchanged_columns_are_found(reference, tmp_path):
         ("CCSDS_OEM_VERS", "CCSDS_OPM_VERS", "does not begin with CCSDS_OEM_VERS"),
         ("REF_FRAME = LUNARSIM_SITE_ENU", "REF_FRAME = EME2000", "REF_FRAME is 'EME2000'"),
         ("REF_FRAME = LUNARSIM_SITE_ENU\n", "", "do not state REF_FRAME"),
+        ("CENTER_NAME = MOON\n", "", "do not state CENTER_NAME"),
+        ("2000-01-01T12:00:01.", "2001-366T12:00:01.", "the year 2001 has no day 366"),
+        ("2000-01-01T12:00:01.", "2000-000T12:00:01.", "the year 2000 has no day 000"),
         ("CENTER_NAME = MOON", "CENTER_NAME = EARTH", "CENTER_NAME is 'EARTH'"),
         ("12:00:01.", "12:00:00.", "strictly increasing times"),
         (
