@@ -155,8 +155,10 @@ class AdditiveFault(SensorFault, ABC):
         error = self.offset(channel, time, np.shape(value), rng)
         if channel == "range":  # a range that is not positive is no return
             value = np.asarray(value + error)
+            lost = value <= 0.0
+            value = np.where(lost, np.nan, value)
             faulty = replace(measurement, range=value if value.ndim else float(value))
-            return _without_returns(faulty, value <= 0.0)
+            return _without_returns(faulty, lost)
         return replace(measurement, **{channel: value + error})
 
 

@@ -75,7 +75,7 @@ def drawn_fault(scenario: Scenario, rng: np.random.Generator) -> tuple[str, dict
         table["channel"] = channel
         if channel in ("attitude", "rate", "acceleration", "position", "velocity"):
             direction = rng.standard_normal(3)
-            table["direction"] = list(direction / np.linalg.norm(direction))
+            table["direction"] = (direction / np.linalg.norm(direction)).tolist()
         elif table["kind"] != "noise":
             size *= float(rng.choice((-1.0, 1.0)))
         rate = size / DRIFT_S

@@ -86,6 +86,13 @@ def test_a_bias_below_the_terrain_is_no_return():
     assert np.isnan(faulty.range)
 
 
+def test_noise_below_the_sensor_is_no_return():
+    faulty, usual = pair("flash", kind="noise", sigma=1000.0)
+    lost = np.isnan(faulty.range) & np.isfinite(usual.range)
+    assert 0.1 < lost.mean() < 0.5
+    assert (faulty.range[~np.isnan(faulty.range)] > 0.0).all()
+
+
 def test_bias_of_an_attitude_turns_about_a_body_axis():
     faulty, usual = pair("stars", kind="bias", size=0.02, direction=[0.0, 1.0, 0.0])
     turn = quat_multiply(quat_conjugate(usual.attitude), faulty.attitude)
