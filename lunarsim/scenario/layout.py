@@ -28,6 +28,7 @@ from lunarsim.vehicle.domain_randomization import DomainRandomization
 from lunarsim.vehicle.faults import Faults
 from lunarsim.vehicle.legs import Legs
 from lunarsim.vehicle.true_vehicle import Truth
+from lunarsim.world.dust import Dust
 from lunarsim.world.far_terrain import FarTerrainSettings
 from lunarsim.world.light import Light
 from lunarsim.world.survey import PriorMapSurvey
@@ -48,6 +49,7 @@ FIXED: dict[str, type] = {
 OPTIONAL: dict[str, type] = {
     "moon": RoundMoon,
     "far_terrain": FarTerrainSettings,
+    "dust": Dust,
     "initial_uncertainty": InitialUncertainty,
     "prior_map": PriorMapSurvey,
     "faults": Faults,
@@ -92,7 +94,7 @@ NAMED: dict[str, tuple[str, dict[str, dict[str, Any]]]] = {
 }
 # Keys that define the world and the vehicle.
 WORLD_KEYS = (
-    "name", "description", "gravity_m_s2", "moon", "far_terrain", "terrain", "rocks", "sun",
+    "name", "description", "gravity_m_s2", "moon", "far_terrain", "dust", "terrain", "rocks", "sun",
     "vehicle", "truth", "legs", "target",
 )  # fmt: skip
 # Tables of earlier versions, and the tables that replace them.

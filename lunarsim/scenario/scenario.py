@@ -79,6 +79,7 @@ class Scenario:
     gravity_m_s2: float
     moon: tables.MoonTable | None
     far_terrain: tables.FarTerrainTable | None
+    dust: tables.DustTable | None
     terrain: tables.TerrainTable
     rocks: tables.RocksTable
     sun: tables.SunTable

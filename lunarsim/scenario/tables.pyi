@@ -217,6 +217,26 @@ class FarTerrainChanges(TypedDict, total=False):
     rms_slopes_deg: tuple[float, ...]
     sizes_m: tuple[float, ...]
 
+class DustTable(PartSettings):
+    brightness: float
+    core_radius_m: float
+    ejection_angle_deg: float
+    false_return_fraction: float
+    onset_height_m: float
+    onset_thrust_n: float
+    optical_depth: float
+    radar_ratio: float
+
+class DustChanges(TypedDict, total=False):
+    brightness: float
+    core_radius_m: float
+    ejection_angle_deg: float
+    false_return_fraction: float
+    onset_height_m: float
+    onset_thrust_n: float
+    optical_depth: float
+    radar_ratio: float
+
 class InitialUncertaintyTable(PartSettings):
     attitude_deg: float
     position_m: float
@@ -1029,6 +1049,7 @@ class FlightChanges(TypedDict, total=False):
     simulation: SimulationChanges
     moon: MoonChanges | None
     far_terrain: FarTerrainChanges | None
+    dust: DustChanges | None
     initial_uncertainty: InitialUncertaintyChanges | None
     prior_map: PriorMapChanges | None
     faults: FaultsChanges | None

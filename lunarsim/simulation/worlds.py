@@ -43,7 +43,8 @@ def build_world(
     about = None
     if moon is not None and scenario.far_terrain is not None:
         about = scenario.far_terrain.make().build(terrain, moon, streams)
-    return World(terrain, scenario.gravity_m_s2, light, moon, about)
+    dust = None if scenario.dust is None else scenario.dust.make()
+    return World(terrain, scenario.gravity_m_s2, light, moon, about, dust)
 
 
 def rebuild_world(flight: Flight) -> World:
