@@ -1,4 +1,4 @@
-"""Dust that the engine's plume blows along the terrain, and what sensors see through it.
+"""Dust that the engine's plume lifts, and what sensors detect through it.
 
 Above a threshold, the pressure of the plume on the terrain erodes the regolith; it is proportional
 to thrust over the square of the height (Roberts 1963, "The action of a hypersonic jet on a dust
@@ -171,7 +171,7 @@ class DustSheet:
         return np.asarray(rng.random(len(rays)) < transmission)
 
     def ranges(self, origin: Array, rays: Array, ranges: Array, rng: np.random.Generator) -> Array:
-        """Return LiDAR ranges (n,), m, through the dust; NaN for a pulse that it extinguishes.
+        """Return LiDAR ranges (n,), m, through the dust; NaN: extinguished.
 
         A pulse returns from the terrain with the probability ``exp(-2 depth)``. Of the others,
         `false_return_fraction` return from the dust, whose density falls exponentially with height.
