@@ -185,6 +185,16 @@ class SimulationChanges(TypedDict, total=False):
     max_time_s: float
     step_s: float
 
+class SiteTable(PartSettings):
+    latitude_deg: float | None
+    longitude_deg: float | None
+    time: str | None
+
+class SiteChanges(TypedDict, total=False):
+    latitude_deg: float | None
+    longitude_deg: float | None
+    time: str | None
+
 class MoonTable(PartSettings):
     latitude_deg: float
     radius_m: float
@@ -1023,6 +1033,7 @@ class FlightChanges(TypedDict, total=False):
     approach: ApproachChanges
     decisions: DecisionsChanges
     simulation: SimulationChanges
+    site: SiteChanges | None
     moon: MoonChanges | None
     far_terrain: FarTerrainChanges | None
     initial_uncertainty: InitialUncertaintyChanges | None
