@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import tomli_w
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.exports.formats import DEFAULT_EPOCH, ExportOptions
-from lunarsim.frames import matrix_to_quat, quat_multiply
+from lunarsim.frames import enu_axes, matrix_to_quat, quat_multiply
 from lunarsim.models.gravity import RoundMoon
 from lunarsim.onboard.guidance.trajectory_files import SITE_FRAME_NAME
 from lunarsim.scenario import Scenario
@@ -47,7 +48,7 @@ class Epoch:
 
     @classmethod
     def of(cls, flight: Flight, options: ExportOptions) -> Epoch:
-        """Return the given epoch; without one, the time of the scenario's site or a default.
+        """Return the given epoch, the time of the scenario's site, or a default.
 
         Raises
         ------
@@ -77,7 +78,7 @@ class Epoch:
 
 
 def _place(flight: Flight) -> Scenario | None:
-    """Return a scenario with the tables [site] and [moon] of a flight; None without a site.
+    """Return a scenario with only [site] and [moon] of a flight; None without [site].
 
     Other tables are not read, because they may name modules that this process does not allow.
     """
@@ -87,7 +88,7 @@ def _place(flight: Flight) -> Scenario | None:
         return None
     if "site" not in tables:
         return None
-    given = {name: tables[name] for name in ("site", "moon") if name in tables}
+    given: dict[str, Any] = {name: tables[name] for name in ("site", "moon") if name in tables}
     return Scenario.world_from_toml(tomli_w.dumps(given))
 
 
@@ -170,11 +171,7 @@ class ExportFrame:
         """Matrix (3, 3) from the site frame to this frame."""
         if self.moon is None:
             return np.eye(3)
-        (c, s), (cl, sl) = (
-            (np.cos(angle), np.sin(angle)) for angle in (self.moon.latitude, self.longitude)
-        )
-        east, north, up = (-sl, cl, 0.0), (-s * cl, -s * sl, c), (c * cl, c * sl, s)
-        return np.column_stack((east, north, up))
+        return enu_axes(self.moon.latitude, self.longitude)
 
     def positions(self, positions: Array) -> Array:
         """Convert positions (n, 3), m, from the site frame to this frame."""

@@ -32,11 +32,12 @@ class LandingSite:
         Date and time (UTC) of the start of the flight, ISO 8601 with Z; None: no date.
     """
 
-    latitude: float | None = quantity(
+    # Both are required; without a default, a dataclass field could not have a bound.
+    latitude: float = quantity(
         None, "deg", ge=-90, le=90,
         help="planetocentric latitude of the site frame's origin (MOON_ME); positive: north",
     )  # fmt: skip
-    longitude: float | None = quantity(
+    longitude: float = quantity(
         None, "deg", ge=-180, le=360,
         help="longitude of the site frame's origin (MOON_ME); positive: east",
     )  # fmt: skip
@@ -90,7 +91,7 @@ def parse_time(field: str, text: str) -> np.datetime64:
             field,
             text,
             "must state its time zone",
-            "Add Z to a time in UTC, as in " + _EXAMPLE + ".",
+            f"Add Z to a time in UTC, as in {_EXAMPLE}.",
         )
     if not FIRST_YEAR <= parsed.year <= LAST_YEAR:
         raise InputError(

@@ -254,8 +254,9 @@ class Scenario:
             Changes by table, for example ``changed(sun={"elevation_deg": 5.0})``. A part of another
             `kind` starts from its own defaults. None removes a named part or an optional table.
             If navigation has its default value, the default is determined again for the changed
-            sensors and mappers. Values that follow from the site are found again; a change of a
-            direction of Sun or Earth removes the date of the site.
+            sensors and mappers. Values that follow from the site are found again. A change of
+            its date replaces the directions of Sun and Earth; a change of a direction removes the
+            date.
 
         Raises
         ------
@@ -274,8 +275,8 @@ class Scenario:
             "navigation", "navigation", left_out, None, None
         ):
             del data["navigation"]
-        if self.site is not None:
-            data = without_site_values(data, self.site.make(), changes)
+        site = None if self.site is None else self.site.make()
+        data = without_site_values(data, site, changes)
         for key, change in changes.items():
             data[key] = _merged(key, data.get(key), change)
             if data[key] is None and hasattr(self, key):

@@ -1,4 +1,4 @@
-"""Complete the tables of a scenario with the values that follow from its table [site].
+"""Complete the tables of a scenario with the values that follow from [site].
 
 With a date, Sun and Earth have the directions of the ephemeris; with [moon], its latitude is that
 of the site.
@@ -7,6 +7,7 @@ of the site.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -31,7 +32,6 @@ def sun_values(site: LandingSite) -> Mapping[str, float]:
 
     if site.date is None:
         return {}
-    assert site.latitude is not None and site.longitude is not None
     sky = sky_at(site.latitude, site.longitude, np.array([site.date]))
     angles = sky.sun_azimuth, sky.sun_elevation, sky.earth_azimuth, sky.earth_elevation
     values = {
@@ -67,45 +67,61 @@ def with_site_values(data: Mapping[str, Any], site: LandingSite) -> dict[str, An
 
 
 def without_site_values(
-    data: Mapping[str, Any], site: LandingSite, changes: Mapping[str, Any]
+    data: Mapping[str, Any], site: LandingSite | None, changes: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return the tables of a scenario without what follows from its site, before a change.
+    """Return the tables of a scenario without what follows from its site.
 
-    The values are then found again for the changed site. A change of a direction of Sun or Earth
-    removes the date: the other values then stay as they are.
+    After a change, the values are found again for the changed site. A change of the date replaces
+    the directions of Sun and Earth, and a change of one of these directions removes the date: the
+    other directions then stay as they are.
 
     Parameters
     ----------
     data
         All tables of the scenario.
     site
-        Site of the scenario.
+        Site of the scenario; None: it has none.
     changes
         Changes by table.
     """
     out = dict(data)
-    sun, new_site = changes.get("sun"), changes.get("site", {})
-    turned = isinstance(sun, Mapping) and any(key in sun for key in DIRECTIONS)
-    if turned and isinstance(new_site, Mapping) and "time" not in new_site:
+    sun, new_site = (_as_table(changes.get(name)) for name in ("sun", "site"))
+    removed = []
+    if new_site.get("time") is not None:
+        removed += [("sun", key) for key in DIRECTIONS]
+        if (site is None or site.time is None) and data["sun"]["earthshine"] == 0.0:
+            removed.append(("sun", "earthshine"))
+    elif site is not None and any(key in sun for key in DIRECTIONS):
         out["site"] = {key: value for key, value in data["site"].items() if key != "time"}
-        site = LandingSite(site.latitude, site.longitude)
-    for table, key, value in _site_values(data, site):
-        if _agrees(key, out[table][key], value):
-            out[table] = {name: old for name, old in out[table].items() if name != key}
+        site = replace(site, time=None)
+    if "latitude_deg" in new_site and "moon" in data:
+        removed.append(("moon", "latitude_deg"))
+    if site is not None:
+        removed += [
+            (table, key)
+            for table, key, value in _site_values(data, site)
+            if _agrees(key, data[table][key], value)
+        ]
+    for table, key in removed:
+        out[table] = {name: value for name, value in out[table].items() if name != key}
     return out
 
 
+def _as_table(change: Any) -> Mapping[str, Any]:
+    """Return the change of a table; a table without keys if the change is no table."""
+    return change if isinstance(change, Mapping) else {}
+
+
 def _site_values(data: Mapping[str, Any], site: LandingSite) -> Iterator[tuple[str, str, float]]:
-    """Yield table, key and value of what follows from the site in the tables of a scenario."""
+    """Yield table, key and value of what follows from the site of a scenario."""
     for key, value in sun_values(site).items():
         yield "sun", key, value
     if "moon" in data:
-        assert site.latitude is not None
         yield "moon", "latitude_deg", round(float(np.rad2deg(site.latitude)), 9)
 
 
 def _agrees(key: str, given: Any, value: float) -> bool:
-    """Return whether the given value of a key is that of the site, or no number at all."""
+    """Return whether the given value of a key is that of the site, or no number."""
     if isinstance(given, bool) or not isinstance(given, int | float):
         return True  # refused by the check of the table
     if key == "earthshine":

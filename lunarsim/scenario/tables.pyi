@@ -186,13 +186,13 @@ class SimulationChanges(TypedDict, total=False):
     step_s: float
 
 class SiteTable(PartSettings):
-    latitude_deg: float | None
-    longitude_deg: float | None
+    latitude_deg: float
+    longitude_deg: float
     time: str | None
 
 class SiteChanges(TypedDict, total=False):
-    latitude_deg: float | None
-    longitude_deg: float | None
+    latitude_deg: float
+    longitude_deg: float
     time: str | None
 
 class MoonTable(PartSettings):

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.frames import enu_axes
 from lunarsim.typing import Array
 from lunarsim.world.light import FULL_EARTH_IRRADIANCE_RATIO
 
@@ -70,20 +71,17 @@ def sky_at(latitude: float, longitude: float, times: NDArray[np.datetime64]) -> 
     times
         Dates and times (n,), UTC.
     """
-    to_enu = _enu_axes(latitude, longitude)
-    site = MOON_RADIUS_M * to_enu[2]
-    sun, earth = np.moveaxis(
-        np.array([_sun_and_earth(_days_since_j2000(time)) for time in times]).reshape(-1, 2, 3),
-        1,
-        0,
-    )
+    axes = enu_axes(latitude, longitude)
+    site = MOON_RADIUS_M * axes[:, 2]
+    both = np.array([_sun_and_earth(_days_since_j2000(time)) for time in times])
+    sun, earth = both[:, 0], both[:, 1]
     from_earth_to_sun = sun - earth
     cos_phase = -(earth * from_earth_to_sun).sum(-1) / (
         np.linalg.norm(earth, axis=-1) * np.linalg.norm(from_earth_to_sun, axis=-1)
     )
     phase = np.arccos(np.clip(cos_phase, -1.0, 1.0))
     lambert = (np.sin(phase) + (np.pi - phase) * np.cos(phase)) / np.pi
-    sun, earth = (sun - site) @ to_enu.T, (earth - site) @ to_enu.T
+    sun, earth = (sun - site) @ axes, (earth - site) @ axes
     sun_distance, earth_distance = (np.linalg.norm(v, axis=-1) for v in (sun, earth))
     return Sky(
         np.asarray(times),
@@ -102,17 +100,11 @@ def _days_since_j2000(time: np.datetime64) -> float:
     return float((time - _J2000) / np.timedelta64(1, "us")) / (1e6 * _SECONDS_PER_DAY)
 
 
-def _enu_axes(latitude: float, longitude: float) -> Array:
-    """Return the unit vectors east, north and up (3, 3) of a site, in MOON_ME."""
-    (c, s), (cl, sl) = ((np.cos(angle), np.sin(angle)) for angle in (latitude, longitude))
-    return np.array([(-sl, cl, 0.0), (-s * cl, -s * sl, c), (c * cl, c * sl, s)])
-
-
 @lru_cache(maxsize=2048)
 def _sun_and_earth(days: float) -> Array:
-    """Return Sun and Earth (2, 3) from the Moon's centre in MOON_ME, m, as they appear.
+    """Return Sun and Earth (2, 3), m, from the Moon's centre in MOON_ME.
 
-    `days` are those of UTC since 2000-01-01T12:00.
+    They are where they appear. `days` are those of UTC since 2000-01-01T12:00.
     """
     import astronomy  # noqa: PLC0415  (loads slowly)
 

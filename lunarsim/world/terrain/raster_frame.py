@@ -155,7 +155,12 @@ class Orientation:
         )
 
 
-def frame_of_window(source: DatasetReader, window: Window, posting: float | None) -> Frame:
+def frame_of_window(
+    source: DatasetReader,
+    window: Window,
+    posting: float | None,
+    origin: tuple[float, float] | None = None,
+) -> Frame:
     """Return the local frame of a window of a raster.
 
     Parameters
@@ -166,6 +171,9 @@ def frame_of_window(source: DatasetReader, window: Window, posting: float | None
         Rows and columns to use.
     posting
         Grid spacing, m, of a file without a coordinate reference system.
+    origin
+        Latitude and longitude, deg, of the origin of the frame, for a file with geographic or
+        projected coordinates; None: the centre of the window.
 
     Raises
     ------
@@ -204,7 +212,7 @@ def frame_of_window(source: DatasetReader, window: Window, posting: float | None
         _check_axes(source)
         name = _name(source.crs) + (", degrees" if source.crs.is_geographic else "")
         metres = None if source.crs.is_geographic else float(source.crs.linear_units_factor[1])
-        mappings = _spherical_mappings(source, transform, cols, rows)
+        mappings = _spherical_mappings(source, transform, cols, rows, origin)
     else:
         raise _refusal(
             source,
@@ -277,12 +285,17 @@ def _plane_mappings(centre: tuple[float, float], metres: float) -> tuple[Mapping
 
 
 def _spherical_mappings(
-    source: DatasetReader, transform: Affine, cols: int, rows: int
+    source: DatasetReader,
+    transform: Affine,
+    cols: int,
+    rows: int,
+    origin: tuple[float, float] | None,
 ) -> tuple[Mapping, Mapping]:
     """Return mappings between map coordinates and a local frame, in both directions.
 
-    The local frame is an azimuthal equidistant projection about the centre of a window of `cols` x
-    `rows`; `transform` converts columns and rows to map coordinates.
+    The local frame is an azimuthal equidistant projection about `origin` (latitude and longitude,
+    deg); None: about the centre of a window of `cols` x `rows`. `transform` converts columns and
+    rows to map coordinates.
     """
     body = _body(source.crs)
     crs = _on_sphere(source.crs, body)
@@ -291,6 +304,9 @@ def _spherical_mappings(
     (lon,), (lat,) = warp(crs, globe, [cx], [cy])
     if not np.isfinite([lon, lat]).all():
         raise _refusal(source, "has its centre outside the domain of its projection")
+    if origin is not None:
+        lat, lon = origin
+        (cx,), (cy,) = warp(globe, crs, [lon], [lat])
     edge = _refusal(
         source, "extends beyond the edge of its projection",
         "Choose a part of the raster with terrain.dtm_window.",
