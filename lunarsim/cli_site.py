@@ -18,6 +18,7 @@ from lunarsim.cli_common import (
     FloatRange,
     allow_options,
     load_scenario,
+    wide_console,
 )
 from lunarsim.errors import InputError, check_output
 from lunarsim.models.site import LandingSite, parse_time, time_text
@@ -72,6 +73,10 @@ def site() -> None:
     help="Place of the site in a --dtm without georeferencing, counted from 0 at its first corner.",
 )  # fmt: skip
 @click.option(
+    "--nodata", type=float, multiple=True,
+    help="Value that marks missing heights, in addition to those stated in the file. Repeatable.",
+)  # fmt: skip
+@click.option(
     "--range", "max_range", type=FloatRange(min=0.1, max=300), default=60.0, show_default=True,
     help="Maximum distance of terrain that forms the horizon (km).",
 )  # fmt: skip
@@ -99,7 +104,7 @@ def site() -> None:
 def info(
     scenario: Path | None, changes: tuple[str, ...], at: tuple[float, float] | None,
     time: str | None, dtm: Path | None, posting: float | None,
-    pixel: tuple[float, float] | None, max_range: float, height: float,
+    pixel: tuple[float, float] | None, nodata: tuple[float, ...], max_range: float, height: float,
     days: float, step: float, sun_elevation: tuple[float, float] | None, seed: int, flight: int,
     out: Path | None, csv: Path | None, file: Path | None,
 ) -> None:  # fmt: skip
@@ -114,8 +119,6 @@ def info(
       lunarsim site info --at -89.45 222.7 --time 2027-03-01T12:00Z --dtm ridge.tif --out sun.png
       lunarsim site info --at 26.13 3.63 --time 1971-07-30T22:16Z --sun-elevation 5 14
     """  # noqa: D301  (click wants the character itself)
-    from lunarsim.console import plain_console
-
     for option, path, suffix in (("--out", out, ".png"), ("--csv", csv, ".csv"),
                                  ("--json", file, ".json")):  # fmt: skip
         if path is not None:
@@ -127,18 +130,18 @@ def info(
     loaded = None if scenario is None else load_scenario(scenario, changes, is_flown=False)
     place = _place(loaded, at, time, changes)
     if dtm is not None:
-        field = _load(dtm, place, 1e3 * max_range, posting, pixel)
+        field = _load(dtm, place, 1e3 * max_range, posting, pixel, nodata)
         horizon = _raster_horizon(field, 1e3 * max_range, height)
     else:
-        for option, value in (("--posting", posting), ("--pixel", pixel)):
-            if value is not None:
+        for option, value in (("--posting", posting), ("--pixel", pixel), ("--nodata", nodata)):
+            if value not in (None, ()):
                 raise InputError(option, value, "must be omitted without --dtm")
         horizon = _horizon(loaded, 1e3 * max_range, height, (seed, flight))
     found = _illumination(place, horizon, days, step)
     windows = None
     if sun_elevation is not None:
         windows = found.landing_windows(*np.deg2rad(sun_elevation))
-    console = plain_console()
+    console = wide_console(130)
     console.print(_table(place, found, horizon))
     for line in _interval_lines(found, windows):
         console.print(line, soft_wrap=True)
@@ -227,7 +230,7 @@ def _horizon(
 
 def _load(
     path: Path, place: LandingSite, max_range: float, posting: float | None,
-    pixel: tuple[float, float] | None,
+    pixel: tuple[float, float] | None, nodata: tuple[float, ...],
 ) -> Heightfield:  # fmt: skip
     """Load the raster of --dtm around a site; errors name the options."""
     from lunarsim.world.terrain.dtm import load_surroundings
@@ -235,11 +238,14 @@ def _load(
     latitude, longitude = (float(v) for v in np.rad2deg([place.latitude, place.longitude]))
     try:
         return load_surroundings(
-            path, latitude, longitude, max_range=max_range, posting=posting, pixel=pixel
-        )
+            path, latitude, longitude, max_range=max_range, posting=posting, pixel=pixel,
+            nodata=nodata or None,
+        )  # fmt: skip
     except InputError as error:
         names = {"terrain.path": "--dtm", "terrain.dtm_posting_m": "--posting", "pixel": "--pixel"}
         remedy = error.remedy.replace("terrain.dtm_posting_m", "--posting")
+        if "terrain.dtm_nodata" in remedy:
+            remedy = "Give it with --nodata, or another value if these heights are real."
         field = names.get(error.field, error.field)
         raise InputError(field, error.value, error.problem, remedy, error.show_value) from None
 

@@ -48,10 +48,10 @@ class LandingSite:
     )
 
     def __post_init__(self) -> None:
-        check_bounds(self, "site")
         for name in ("latitude", "longitude"):
             if getattr(self, name) is None:
                 raise InputError(f"site.{name}", None, "is required", show_value=False)
+        check_bounds(self, "site")
         if self.time is not None:
             parse_time("site.time", self.time)
 
