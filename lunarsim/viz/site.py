@@ -42,7 +42,7 @@ def draw_site(
         for k, one in enumerate(windows):
             label = "landing window" if k == 0 else None
             axes.axvspan(one.start, one.end, color=_WINDOW, alpha=0.25, lw=0, label=label)
-        axes.legend(loc="upper right", ncols=4)
+        _put_legend_above(axes)
     earth.set_xlabel("Time (UTC)")
     _draw_horizon(around, found)
     figure.suptitle(escape_dollars(title))
@@ -89,4 +89,8 @@ def _draw_horizon(axes: Any, found: Illumination) -> None:
     axes.set_xticks(np.arange(0, 361, 45))
     axes.set_xlabel("Azimuth, clockwise from north (deg)")
     axes.set_ylabel("Elevation (deg)")
-    axes.legend(loc="upper right", ncols=3)
+    _put_legend_above(axes)
+
+
+def _put_legend_above(axes: Any) -> None:
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
