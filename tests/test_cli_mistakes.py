@@ -327,6 +327,7 @@ OWN = {
         ([*AT, "--dtm", "steps.tif", "--posting", "9"], ["--dtm: ", "Give it with --nodata"]),
         ([*AT, "--sun-elevation", "14", "5"], ["--sun-elevation: ", "two increasing angles"]),
         ([*AT, "--days", "0.01"], ["--days: ", "got 0.01", "1 to 100000 times the step of 1 h"]),
+        (["--at", "0", "0", "--time", "2100-12-30T00:00Z"], ["--days: ", "end of 2100"]),
         ([*AT, "--step", "0"], ["--step", "x<=24"]),
         ([*AT, "--height", "-1"], ["--height", "x<=1000"]),
         ([*AT, "--range", "nan"], ["--range", "nan"]),

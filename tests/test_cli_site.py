@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -62,6 +63,44 @@ def test_a_scenario_gives_place_date_and_terrain(tmp_path):
     later = _results(tmp_path, scenario, "--set", "site.time=1971-08-02T17:11Z", "--days", "2")[1]
     assert later["sun_elevation_deg"] == pytest.approx(41.415, abs=0.001)
     assert later["period_hours"] == 48.0
+
+
+FAR = """
+[site]
+latitude_deg = -85.0
+longitude_deg = 30.0
+time = "2027-03-01T12:00Z"
+[moon]
+[far_terrain]
+sizes_m = [8_000.0]
+postings_m = [40.0]
+rms_slopes_deg = [20.0]
+[terrain]
+size_m = 100.0
+posting_m = 1.0
+[rocks]
+cover = 0.0
+[navigation]
+kind = "fixes"
+[sensors.fix]
+kind = "navigation-fix"
+[control]
+kind = "ideal"
+[tasking]
+[mappers]
+"""
+
+
+def test_far_terrain_forms_the_horizon(tmp_path):
+    """The map alone is small; the hills are around it."""
+    (tmp_path / "far.toml").write_text(FAR)
+    (tmp_path / "map.toml").write_text(re.sub(r"\[far_terrain\]\n(.*_.*\n){3}", "", FAR))
+    options = ["--range", "3", "--days", "3"]
+    far, near = (_run(str(tmp_path / f"{name}.toml"), *options) for name in ("far", "map"))
+    assert "terrain known to 3.0 to 3.0 km" in far
+    assert "terrain known to 0.0 to 0.1 km" in near
+    highest = [float(re.search(r"to (\S+) deg, terrain", text)[1]) for text in (far, near)]
+    assert highest[0] > highest[1] + 3.0
 
 
 def test_a_raster_hides_the_sun(tmp_path):

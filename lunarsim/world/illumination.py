@@ -9,12 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from lunarsim.errors import InputError
+from lunarsim.models.site import LAST_YEAR
 from lunarsim.typing import Array
 from lunarsim.world.ephemeris import Sky, sky_at
 from lunarsim.world.horizon import Horizon
 
 _HOUR = np.timedelta64(3_600_000_000, "us")
 _MAX_STEPS = 100_000
+_END_OF_EPHEMERIS = np.datetime64(f"{LAST_YEAR + 1}-01-01", "us")
 # Points at which the mean visible fraction of the Sun in a window is taken.
 _SAMPLES_PER_WINDOW = 64
 
@@ -77,13 +79,16 @@ class Illumination:
         Raises
         ------
         InputError
-            If the period has fewer than two samples, or over 100,000.
+            If the period has fewer than two samples, or over 100,000, or ends after the years of
+            the ephemeris.
         """
         steps = 24.0 * days / step_hours
         if not 1.0 <= steps <= _MAX_STEPS:
             raise InputError(
                 "days", days, f"must be from 1 to {_MAX_STEPS} times the step of {step_hours:g} h"
             )
+        if start + np.timedelta64(round(86_400.0 * days), "s") >= _END_OF_EPHEMERIS:
+            raise InputError("days", days, f"must end the period by the end of {LAST_YEAR}")
         micro = np.round(3.6e9 * step_hours * np.arange(int(steps + 1e-9) + 1))
         return cls(sky_at(latitude, longitude, start + micro.astype("timedelta64[us]")), horizon)
 

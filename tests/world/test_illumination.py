@@ -112,6 +112,13 @@ def test_a_period_that_begins_and_ends_in_sunlight_is_marked():
     assert (one.start, one.end) == (found.sky.time[0], found.sky.time[-1])
 
 
+def test_the_period_ends_within_the_years_of_the_ephemeris():
+    start = parse_time("time", "2100-12-30T00:00Z")
+    with pytest.raises(InputError, match="days: must end the period by the end of 2100"):
+        Illumination.over(0.0, 0.0, LEVEL, start, 2.0, 1.0)
+    assert Illumination.over(0.0, 0.0, LEVEL, start, 1.9, 1.0).hours == 45.0
+
+
 @pytest.mark.parametrize(("days", "step"), [(0.01, 1.0), (4_000.0, 0.5)])
 def test_the_number_of_samples_is_limited(days, step):
     with pytest.raises(InputError, match="days: must be from 1 to 100000 times the step"):
