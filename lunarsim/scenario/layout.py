@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from lunarsim.models.gravity import RoundMoon
+from lunarsim.models.site import LandingSite
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.braking import Braking
 from lunarsim.onboard.policies.decisions import DecisionSettings
@@ -47,6 +48,7 @@ FIXED: dict[str, type] = {
 }
 # Optional tables, each with one class.
 OPTIONAL: dict[str, type] = {
+    "site": LandingSite,
     "moon": RoundMoon,
     "far_terrain": FarTerrainSettings,
     "dust": Dust,
@@ -94,8 +96,8 @@ NAMED: dict[str, tuple[str, dict[str, dict[str, Any]]]] = {
 }
 # Keys that define the world and the vehicle.
 WORLD_KEYS = (
-    "name", "description", "gravity_m_s2", "moon", "far_terrain", "dust", "terrain", "rocks", "sun",
-    "vehicle", "truth", "legs", "target",
+    "name", "description", "gravity_m_s2", "site", "moon", "far_terrain", "dust", "terrain",
+    "rocks", "sun", "vehicle", "truth", "legs", "target",
 )  # fmt: skip
 # Tables of earlier versions, and the tables that replace them.
 MOVED_TABLES: dict[str, str] = {

@@ -185,6 +185,16 @@ class SimulationChanges(TypedDict, total=False):
     max_time_s: float
     step_s: float
 
+class SiteTable(PartSettings):
+    latitude_deg: float
+    longitude_deg: float
+    time: str | None
+
+class SiteChanges(TypedDict, total=False):
+    latitude_deg: float
+    longitude_deg: float
+    time: str | None
+
 class MoonTable(PartSettings):
     latitude_deg: float
     radius_m: float
@@ -1047,6 +1057,7 @@ class FlightChanges(TypedDict, total=False):
     approach: ApproachChanges
     decisions: DecisionsChanges
     simulation: SimulationChanges
+    site: SiteChanges | None
     moon: MoonChanges | None
     far_terrain: FarTerrainChanges | None
     dust: DustChanges | None

@@ -6,7 +6,7 @@ The formats and rules are described in docs/howto/terrain-files.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -249,6 +249,106 @@ def read_frame(
     with open_raster(path) as source:
         frame = frame_of_window(source, _window(window, source), posting)
         return frame, source.crs if is_placed(source) else None
+
+
+def load_surroundings(
+    path: str | Path, latitude_deg: float, longitude_deg: float, *, max_range: float,
+    posting: float | None = None, pixel: tuple[float, float] | None = None,
+    nodata: Sequence[float] | None = None,
+) -> Heightfield:  # fmt: skip
+    """Load the terrain around a place into an azimuthal equidistant frame about it.
+
+    Parameters
+    ----------
+    path
+        Raster with one band, or its label, as for `load_terrain`.
+    latitude_deg, longitude_deg
+        Place that becomes the origin, deg, positive north and east.
+    max_range
+        Half the side of the terrain, m, if the raster is larger.
+    posting
+        Grid spacing, m. Required for a file without a coordinate reference system; otherwise the
+        spacing of the result (omitted: the mean spacing of the file at the place).
+    pixel
+        Row and column of the place, counted from 0, in a file without georeferencing; None: its
+        centre.
+    nodata
+        Values that mean "no height", as for `load_terrain`.
+
+    Returns
+    -------
+    Heightfield
+        Elevations above their mean, m; NaN outside the raster.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, is refused or has no heights, or if the place lies outside.
+    """
+    with open_raster(Path(path)) as source:
+        if not is_placed(source):
+            return _shifted(
+                source, load_terrain(path, posting=posting, nodata=nodata), posting, pixel
+            )
+        if pixel is not None:
+            raise InputError(
+                "pixel", list(pixel), "must be omitted, because the raster is georeferenced"
+            )
+        origin = latitude_deg, longitude_deg
+        complete = frame_of_window(source, _window(None, source), None, origin)
+        col, row = (v[0] for v in complete.pixels(np.zeros(1), np.zeros(1)))
+        if not (0.0 <= col <= complete.cols and 0.0 <= row <= complete.rows):
+            raise _no_height(path, latitude_deg, longitude_deg)
+        part = _window(_around(complete, max_range), source)
+        frame = frame_of_window(source, part, None, origin)
+        heights = RasterHeights(source, HeightScale.of(source, None), _values(nodata))
+        step = posting or frame.mean_posting
+        z = _resampled(frame, heights.read(part), step, posting)
+    rows, cols = z.shape
+    if not np.isfinite(z[rows // 2, cols // 2]):
+        raise _no_height(path, latitude_deg, longitude_deg)
+    grid = Grid(-0.5 * (cols - 1) * step, -0.5 * (rows - 1) * step, step, rows, cols)
+    return Heightfield(grid, (z - np.nanmean(z)).astype(np.float32))
+
+
+def _no_height(path: str | Path, latitude_deg: float, longitude_deg: float) -> InputError:
+    return InputError(
+        "terrain.path", str(path),
+        f"must have a height at latitude {latitude_deg:g} and longitude {longitude_deg:g} deg",
+    )  # fmt: skip
+
+
+def _shifted(
+    source: DatasetReader, field: Heightfield, posting: float | None,
+    pixel: tuple[float, float] | None,
+) -> Heightfield:  # fmt: skip
+    """Return the terrain of a file without georeferencing with a pixel as its origin."""
+    if pixel is None:
+        return field
+    row, col = pixel
+    if not (0 <= row <= source.height - 1 and 0 <= col <= source.width - 1):
+        raise InputError(
+            "pixel", list(pixel),
+            f"must be a row up to {source.height - 1} and a column up to {source.width - 1}",
+        )  # fmt: skip
+    frame = frame_of_window(source, _window(None, source), posting)
+    east, north = (float(v) for v in frame.local(col + 0.5, row + 0.5))
+    return Heightfield(
+        replace(field.grid, x0=field.grid.x0 - east, y0=field.grid.y0 - north), field.z
+    )
+
+
+def _around(frame: Frame, max_range: float) -> tuple[int, int, int, int]:
+    """Return the window of a raster within a range, m, of the origin of its frame.
+
+    The window is first and last row, first and last column.
+    """
+    side = np.linspace(-max_range, max_range, 65)
+    east, north = (v.ravel() for v in np.meshgrid(side, side))
+    col, row = (v[np.isfinite(v)] for v in frame.pixels(east, north))
+    left, right = (int(v) for v in np.clip([col.min() - 1, col.max() + 2], 0, frame.cols))
+    top, bottom = (int(v) for v in np.clip([row.min() - 1, row.max() + 2], 0, frame.rows))
+    return top, bottom, left, right
 
 
 def _square_grid_heights(
