@@ -61,7 +61,8 @@ def test_the_example_of_skyfield():
 
 # Apollo Lunar Surface Journal, "Sun and Earth: Altitudes and Azimuths at the Apollo Landing Sites"
 # (nasa.gov/history/alsj/alsj-EarthSun_AltAz.html, Scotti 2009): landing and liftoff; elevation and
-# azimuth of the Sun, deg. The page states 0.5 deg as the limit of the differences between its two
+# azimuth of the Sun, deg. (Between them, its elevation at the first walk of Apollo 11, 13.84 deg, is
+# 0.06 deg below the line through its neighbours, and is not used.) The page states 0.5 deg as the limit of the differences between its two
 # computations; the directions of the Earth there lack the parallax.
 APOLLO = [
     (0.6875, 23.4333, "1969-07-20T20:17:39Z", 10.65, 88.81),
