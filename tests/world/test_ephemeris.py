@@ -62,7 +62,8 @@ def test_the_example_of_skyfield():
 # Apollo Lunar Surface Journal, "Sun and Earth: Altitudes and Azimuths at the Apollo Landing Sites"
 # (nasa.gov/history/alsj/alsj-EarthSun_AltAz.html, Scotti 2009): landing and liftoff; elevation and
 # azimuth of the Sun, deg. The page states 0.5 deg as the limit of the differences between its two
-# computations; the directions of the Earth there lack the parallax.
+# computations; its directions of the Earth lack the parallax. The start of the walk of Apollo 11,
+# 13.84 deg, is not used: it is 0.05 deg below the line between landing and liftoff.
 APOLLO = [
     (0.6875, 23.4333, "1969-07-20T20:17:39Z", 10.65, 88.81),
     (0.6875, 23.4333, "1969-07-21T17:54:00Z", 21.65, 88.91),
