@@ -33,7 +33,7 @@ from lunarsim.world.terrain.spline import GappySpline
 _ROWS_PER_BLOCK = 256
 # Posts by which a raster is extended before spline interpolation. The spline assumes zero slope at
 # its edges; the resulting error falls to a quarter from post to post.
-_SPLINE_MARGIN = 12
+SPLINE_MARGIN = 12
 # Larger rasters are described without reading their heights.
 _MAX_POSTS_DESCRIBED = 20_000_000
 
@@ -299,7 +299,7 @@ def load_surroundings(
         col, row = (v[0] for v in complete.pixels(np.zeros(1), np.zeros(1)))
         if not (0.0 <= col <= complete.cols and 0.0 <= row <= complete.rows):
             raise _no_height(path, latitude_deg, longitude_deg)
-        part = _window(_around(complete, max_range), source)
+        part = _window(window_around(complete, max_range), source)
         frame = frame_of_window(source, part, None, origin)
         heights = RasterHeights(source, HeightScale.of(source, None), _values(nodata))
         step = posting or frame.mean_posting
@@ -338,16 +338,22 @@ def _shifted(
     )
 
 
-def _around(frame: Frame, max_range: float) -> tuple[int, int, int, int]:
+def window_around(
+    frame: Frame, max_range: float, margin: int = 1, *, beyond_columns: bool = False
+) -> tuple[int, int, int, int]:
     """Return the window of a raster within a range, m, of the origin of its frame.
 
-    The window is first and last row, first and last column.
+    The window is first and last row, first and last column, with a margin in posts. If
+    `beyond_columns`, it may begin before the first column and end after the last.
     """
     side = np.linspace(-max_range, max_range, 65)
     east, north = (v.ravel() for v in np.meshgrid(side, side))
     col, row = (v[np.isfinite(v)] for v in frame.pixels(east, north))
-    left, right = (int(v) for v in np.clip([col.min() - 1, col.max() + 2], 0, frame.cols))
-    top, bottom = (int(v) for v in np.clip([row.min() - 1, row.max() + 2], 0, frame.rows))
+    more = np.array([-margin, margin + 1])
+    left, right = (int(v) for v in np.floor([col.min(), col.max()]) + more)
+    top, bottom = (int(v) for v in np.clip(np.floor([row.min(), row.max()]) + more, 0, frame.rows))
+    if not beyond_columns:
+        left, right = (int(v) for v in np.clip([left, right], 0, frame.cols))
     return top, bottom, left, right
 
 
@@ -431,20 +437,38 @@ def _resampled(frame: Frame, z: Array, step: float, posting: float | None) -> Ar
             step,
             "must be smaller, because the raster must have at least 2 x 2 points",
         )
+    east = np.asarray((np.arange(cols) - 0.5 * (cols - 1)) * step)
+    north = np.asarray((np.arange(rows) - 0.5 * (rows - 1)) * step)
+    return interpolated(frame, z, east, north)
+
+
+def interpolated(frame: Frame, z: Array, east: Array, north: Array) -> Array:
+    """Interpolate heights of a raster by cubic spline, at a grid in its frame.
+
+    Parameters
+    ----------
+    frame, z
+        Frame of the raster, and its heights (rows, cols), m, in the order of the file.
+    east, north
+        Coordinates (cols,) and (rows,) of the grid, m.
+
+    Returns
+    -------
+    Array
+        Heights (rows, cols), m; NaN outside the raster and next to missing heights.
+    """
     last_row, last_col = z.shape[0] - 1.0, z.shape[1] - 1.0
-    spline = GappySpline(np.pad(z, _SPLINE_MARGIN, constant_values=np.nan), extrapolate_slopes=True)
-    out = np.empty((rows, cols))
-    east = (np.arange(cols) - 0.5 * (cols - 1)) * step
-    north = (np.arange(rows) - 0.5 * (rows - 1)) * step
-    for top in range(0, rows, _ROWS_PER_BLOCK):
+    spline = GappySpline(np.pad(z, SPLINE_MARGIN, constant_values=np.nan), extrapolate_slopes=True)
+    out = np.empty((len(north), len(east)))
+    for top in range(0, len(north), _ROWS_PER_BLOCK):
         at = np.meshgrid(east, north[top : top + _ROWS_PER_BLOCK])
         col, row = frame.pixels(*at)
         col, row = col - 0.5, row - 0.5
         # Tolerance, so that rounding does not exclude the outermost posts.
         inside = np.abs(2.0 * col - last_col) <= last_col + 1e-6
         inside &= np.abs(2.0 * row - last_row) <= last_row + 1e-6
-        col = np.where(inside, np.clip(col, 0.0, last_col), 0.0) + _SPLINE_MARGIN
-        row = np.where(inside, np.clip(row, 0.0, last_row), 0.0) + _SPLINE_MARGIN
+        col = np.where(inside, np.clip(col, 0.0, last_col), 0.0) + SPLINE_MARGIN
+        row = np.where(inside, np.clip(row, 0.0, last_row), 0.0) + SPLINE_MARGIN
         block = spline(row, col)
         block[~inside | spline.is_gap(row, col)] = np.nan
         out[top : top + _ROWS_PER_BLOCK] = block

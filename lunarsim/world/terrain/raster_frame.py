@@ -300,7 +300,7 @@ def _spherical_mappings(
     deg); None: about the centre of a window of `cols` x `rows`. `transform` converts columns and
     rows to map coordinates.
     """
-    body = _body(source.crs)
+    body = body_of(source.crs)
     crs = _on_sphere(source.crs, body)
     cx, cy = transform @ (0.5 * cols, 0.5 * rows)
     globe = CRS.from_dict({"proj": "longlat"} | body)
@@ -361,6 +361,24 @@ def _is_cylindrical(crs: CRS, globe: CRS, lon: float, lat: float) -> bool:
     return bool(abs(x[1] - x[0]) < 1e-9 * _longitude_period(crs, globe, lon, lat))
 
 
+def is_complete_turn(source: DatasetReader) -> bool:
+    """Return whether the columns of a raster go once around the body."""
+    crs = source.crs
+    if not is_placed(source) or not (crs.is_geographic or crs.is_projected):
+        return False
+    body = body_of(crs)
+    globe = CRS.from_dict({"proj": "longlat"} | body)
+    crs, (x, y) = (
+        _on_sphere(crs, body),
+        source.transform @ (0.5 * source.width, 0.5 * source.height),
+    )
+    (lon,), (lat,) = warp(crs, globe, [x], [y])
+    if not np.isfinite([lon, lat]).all() or not _is_cylindrical(crs, globe, lon, lat):
+        return False
+    columns = _longitude_period(crs, globe, lon, lat) / abs(source.transform.a or np.inf)
+    return bool(abs(columns - source.width) < 0.5)
+
+
 def _longitude_period(crs: CRS, globe: CRS, lon: float, lat: float) -> float:
     """Return the length of 360 degrees of longitude at a point, in map units.
 
@@ -377,7 +395,7 @@ def _reproject(source: CRS, target: CRS, x: Array, y: Array) -> tuple[Array, Arr
     return np.reshape(east, x.shape), np.reshape(north, y.shape)
 
 
-def _body(crs: CRS) -> dict[str, Any]:
+def body_of(crs: CRS) -> dict[str, Any]:
     """Return the ellipsoid of a coordinate reference system as PROJ parameters.
 
     Planetary maps in the equidistant cylindrical projection define latitudes on a sphere of the
