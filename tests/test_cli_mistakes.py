@@ -257,6 +257,14 @@ OWN = {
         (["high.tif"], ["terrain.path: ", "got 'high.tif'", "which no known body has"]),
         (["empty.toml"], ["terrain.path: ", "got 'empty.toml'", "must be a raster"]),
     ],
+    "terrain import": [
+        (["gone.tif", "--size", "1km", "--out", "x.toml"], ["terrain.path: ", "got 'gone.tif'"]),
+        (["cut.tif", "--size", "1km", "--out", "x.toml"], ["terrain.path: ", "cannot be read"]),
+        (["cut.tif", "--size", "1 mile", "--out", "x.toml"], ["--size", "such as 4km or 800m"]),
+        (["cut.tif", "--size", "1km", "--out", "x.tif"], ["--out: ", "ends in .toml"]),
+        (["cut.tif", "--at", "95", "0", "--size", "1km", "--out", "x.toml"],
+         ["--at: ", "a latitude up to 90"]),
+    ],
     "terrain preview": [
         ([GOOD, "--out", "p.jpg"], ["--out: ", "got 'p.jpg'", ".png"]),
         ([GOOD, "--out", "none/p.png"], ["--out: ", "got 'none/p.png'", "existing folder"]),
