@@ -259,7 +259,7 @@ OWN = {
     ],
     "terrain import": [
         (["gone.tif", "--size", "1km", "--out", "x.toml"], ["terrain.path: ", "got 'gone.tif'"]),
-        (["cut.tif", "--size", "1km", "--out", "x.toml"], ["terrain.path: ", "cannot be read"]),
+        (["cut.tif", "--size", "100m", "--out", "x.toml"], ["terrain.path: ", "cannot be read"]),
         (["cut.tif", "--size", "1 mile", "--out", "x.toml"], ["--size", "such as 4km or 800m"]),
         (["cut.tif", "--size", "1km", "--out", "x.tif"], ["--out: ", "ends in .toml"]),
         (["cut.tif", "--at", "95", "0", "--size", "1km", "--out", "x.toml"],
