@@ -36,7 +36,7 @@ class _ExportCommand(click.Command):
 )
 @click.option(
     "--out", type=PATH, default=None, show_default="name of the folder with the format's suffix",
-    help="File to write; for csv, a new folder. The suffix selects the kind of world: .tif, .ply "
+    help="File to write; for csv and maps, a new folder. The suffix selects the kind of world: .tif, .ply "
     "or .glb.",
 )  # fmt: skip
 @click.option(
@@ -46,14 +46,14 @@ class _ExportCommand(click.Command):
 )  # fmt: skip
 @click.option(
     "--state", default="true", show_default=True, metavar="STATE",
-    help="State for oem and aem: true, or estimate (of navigation). The estimate in an OEM has its "
+    help="State for oem, aem and kml: true, or estimate (of navigation). The estimate in an OEM has its "
     "covariance.",
 )  # fmt: skip
 @click.option(
     "--longitude", type=float, default=None,
     show_default="that of the scenario's [site]; without it, coordinates of the site frame",
-    help="Longitude of the origin of the site frame (deg, positive east). OEM and AEM then have "
-    "coordinates fixed to the Moon; the scenario needs a table [moon].",
+    help="Longitude of the origin of the site frame (deg, positive east). OEM, AEM, KML and maps then "
+    "have coordinates fixed to the Moon; the scenario needs a table [moon].",
 )  # fmt: skip
 @allow_options
 def export(
@@ -78,7 +78,7 @@ def export(
     for option, value in given.items():
         if option not in chosen.options and value != getattr(ExportOptions(), option):
             raise InputError(f"--{option}", value, f"must be omitted for the format {name}")
-    target = chosen.default_output(flight.resolve().name or "flight") if out is None else out
+    target = chosen.default_output(flight.resolve().name or "flight", name) if out is None else out
     check_export_output(chosen, target)
     from lunarsim.simulation import Flight
 

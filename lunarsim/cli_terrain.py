@@ -255,6 +255,7 @@ def export(
     scenario with [terrain] kind = "dtm" can fly over the GeoTIFF.
     """
     from lunarsim.exports.formats import FORMATS, check_export_output
+    from lunarsim.exports.frames_and_times import frame_of_scenario
     from lunarsim.exports.world import write_world
     from lunarsim.rng import RandomStreams, flight_seed
     from lunarsim.simulation.worlds import build_world
@@ -262,6 +263,7 @@ def export(
     check_export_output(FORMATS["world"], out)
     loaded = load_scenario(scenario, changes, is_flown=False)
     world = build_world(loaded, RandomStreams(flight_seed(seed, flight)))
-    points = write_world(world.terrain, out, posting, has_rocks=rocks)
+    frame = frame_of_scenario(loaded)
+    points = write_world(world.terrain, out, posting, has_rocks=rocks, frame=frame)
     count = len(world.terrain.rocks) if rocks else 0
     click.echo(f"{out}: {points} grid points, {count} rocks")

@@ -44,9 +44,9 @@ class ExportFormat:
     suffixes: tuple[str, ...]
     options: tuple[str, ...] = ()
 
-    def default_output(self, name: str) -> Path:
-        """Return the default file or folder for the flight `name`."""
-        return Path(name + self.suffixes[0] if self.suffixes else f"{name}_csv")
+    def default_output(self, flight: str, name: str) -> Path:
+        """Return the default file or folder for a flight; `name` is that of the format."""
+        return Path(flight + self.suffixes[0] if self.suffixes else f"{flight}_{name}")
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,9 @@ class ExportOptions:
         Which state OEM and AEM contain: the true one, or the estimate of navigation.
     longitude
         Longitude of the origin of the site frame, deg, positive east. It is used in scenarios with
-        a table [moon], which gives the latitude: OEM and AEM then use the frame that is fixed to
-        the Moon. None: the longitude of the scenario's site, or the site frame without one.
+        a table [moon], which gives the latitude: OEM, AEM, KML and hazard maps then use coordinates
+        fixed to the Moon. None: the longitude of the scenario's site, or the site frame without
+        one.
 
     Raises
     ------
@@ -112,6 +113,14 @@ FORMATS: dict[str, ExportFormat] = {
     "csv": ExportFormat(
         "folder with one CSV file per table", "lunarsim.exports.csv_tables:write_csv", (),
     ),
+    "kml": ExportFormat(
+        "path and sites on the Moon, KML", "lunarsim.exports.kml:write_kml", (".kml",),
+        ("state", "longitude"),
+    ),
+    "maps": ExportFormat(
+        "folder with the hazard maps as GeoTIFF", "lunarsim.exports.maps:write_maps", (),
+        ("longitude",),
+    ),
     "matlab": ExportFormat(
         "all tables as structs, MAT file", "lunarsim.exports.matlab:write_matlab", (".mat",),
     ),
@@ -144,7 +153,7 @@ def export_flight(
     name
         Name of the format, a key of `FORMATS`.
     out
-        File to write, with a suffix of the format; for the format "csv" a new or empty folder.
+        File to write, with a suffix of the format; for "csv" and "maps" a new or empty folder.
     options
         Epoch, state and longitude; None: their defaults.
 

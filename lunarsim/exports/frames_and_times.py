@@ -19,6 +19,8 @@ from lunarsim.onboard.guidance.trajectory_files import SITE_FRAME_NAME
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Flight
 from lunarsim.typing import Array
+from lunarsim.world.ephemeris import MOON_RADIUS_M
+from lunarsim.world.terrain_models.measured import RasterTerrain
 
 # Frame of CCSDS files that is fixed to the Moon: mean Earth and polar axis, in which lunar
 # latitudes and longitudes are counted.
@@ -81,6 +83,7 @@ def _place(flight: Flight) -> Scenario | None:
     """Return a scenario with only [site] and [moon] of a flight; None without [site].
 
     Other tables are not read, because they may name modules that this process does not allow.
+    [terrain] is read if it is measured terrain, whose elevation the raster gives.
     """
     try:
         tables = tomllib.loads(flight.scenario)
@@ -88,7 +91,10 @@ def _place(flight: Flight) -> Scenario | None:
         return None
     if "site" not in tables:
         return None
-    given: dict[str, Any] = {name: tables[name] for name in ("site", "moon") if name in tables}
+    names = ["site", "moon"]
+    if isinstance(terrain := tables.get("terrain"), dict) and terrain.get("kind") == "dtm":
+        names += ["terrain"]
+    given: dict[str, Any] = {name: tables[name] for name in names if name in tables}
     return Scenario.world_from_toml(tomli_w.dumps(given))
 
 
@@ -150,6 +156,11 @@ class ExportFrame:
         return cls(table.make(), float(np.deg2rad(longitude_deg)))
 
     @property
+    def latitude(self) -> float:
+        """Latitude of the origin of the site frame, rad; 0 for the site frame."""
+        return 0.0 if self.moon is None else self.moon.latitude
+
+    @property
     def name(self) -> str:
         """Name of the frame in CCSDS files."""
         return SITE_FRAME_NAME if self.moon is None else MOON_FRAME_NAME
@@ -194,3 +205,35 @@ class ExportFrame:
         """Rotate covariances (n, 6, 6) of position and velocity to this frame."""
         turn = np.kron(np.eye(2), self.rotation)
         return np.asarray(turn @ covariances @ turn.T)
+
+
+def moon_frame(flight: Flight, longitude_deg: float | None) -> ExportFrame | None:
+    """Return the frame fixed to the Moon, also for a site on a flat Moon; None without a place.
+
+    Raises
+    ------
+    InputError
+        If a longitude (deg) is given but the scenario has no table [moon], or the raster of
+        measured terrain cannot be read.
+    """
+    if longitude_deg is not None:
+        return ExportFrame.of(flight, longitude_deg)
+    place = _place(flight)
+    return None if place is None else frame_of_scenario(place)
+
+
+def frame_of_scenario(scenario: Scenario) -> ExportFrame | None:
+    """Return the frame fixed to the Moon for the site of a scenario; None without a site.
+
+    Without a table [moon], the plane of the site touches a sphere of 1,737,400 m plus the mean
+    elevation of measured terrain.
+    """
+    if scenario.site is None:
+        return None
+    site, terrain = scenario.site.make(), scenario.terrain.make()
+    if scenario.moon is not None:
+        return ExportFrame(scenario.moon.make(), site.longitude)
+    height = terrain.mean_elevation() if isinstance(terrain, RasterTerrain) else 0.0
+    if height > 0.5 * MOON_RADIUS_M:  # the raster has distances from the centre
+        height -= MOON_RADIUS_M
+    return ExportFrame(RoundMoon(MOON_RADIUS_M + height, latitude=site.latitude), site.longitude)

@@ -13,6 +13,8 @@ from scipy.spatial import ConvexHull
 from lunarsim.atomic_files import atomic_write
 from lunarsim.errors import InputError, missing_package
 from lunarsim.exports.formats import ExportOptions
+from lunarsim.exports.frames_and_times import ExportFrame, moon_frame
+from lunarsim.exports.geotiff import write_geotiff
 from lunarsim.grid import Grid
 from lunarsim.rocks.field import RockField
 from lunarsim.rocks.shapes import shape_table
@@ -40,12 +42,13 @@ def write_flight_world(flight: Flight, out: Path, options: ExportOptions) -> Non
     The terrain is generated again from scenario and seed. The suffix of `out` selects GeoTIFF or
     mesh, as in `write_world`. The options have no effect.
     """
-    write_world(rebuild_world(flight).terrain, out)
+    write_world(rebuild_world(flight).terrain, out, frame=moon_frame(flight, None))
 
 
 def write_world(
-    terrain: Terrain, out: Path, posting: float | None = None, *, has_rocks: bool = True
-) -> int:
+    terrain: Terrain, out: Path, posting: float | None = None, *, has_rocks: bool = True,
+    frame: ExportFrame | None = None,
+) -> int:  # fmt: skip
     """Write terrain as GeoTIFF (.tif), or as a mesh in PLY or binary glTF (.glb).
 
     Return the number of grid points of the terrain.
@@ -60,6 +63,8 @@ def write_world(
         Spacing of the grid points, m; None: that of the terrain, without interpolation.
     has_rocks
         Whether the file contains the rocks.
+    frame
+        Frame fixed to the Moon, which gives a GeoTIFF its place; None: a local reference system.
 
     Raises
     ------
@@ -70,7 +75,8 @@ def write_world(
     terrain = terrain if has_rocks else Terrain(terrain.relief)
     grid = _grid(terrain, posting)
     if out.suffix.lower() == ".tif":
-        _write_raster(terrain.raster(grid), grid, out)
+        label = ("elevation above the origin of the site frame", "m")
+        write_geotiff(out, {label: terrain.raster(grid)}, grid, frame)
     else:
         if find_spec("trimesh") is None:
             raise missing_package("--format", "trimesh", "mesh")
@@ -99,26 +105,6 @@ def _grid(terrain: Terrain, posting: float | None) -> Grid:
             "Use a larger --posting.",
         )  # fmt: skip
     return found
-
-
-def _write_raster(elevation: NDArray[np.float32], grid: Grid, out: Path) -> None:
-    """Write elevations (rows, cols), row 0 south, m, as a GeoTIFF, row 0 north."""
-    import rasterio  # noqa: PLC0415  (loads slowly)
-    from rasterio.io import MemoryFile  # noqa: PLC0415
-
-    west, _, _, north = grid.extent
-    frame = rasterio.CRS.from_wkt('LOCAL_CS["lunarsim site frame, ENU",UNIT["metre",1.0]]')
-    with MemoryFile() as memory:
-        with memory.open(
-            driver="GTiff", width=grid.cols, height=grid.rows, count=1, dtype="float32",
-            crs=frame, nodata=np.nan, compress="deflate", predictor=3,
-            transform=rasterio.Affine(grid.posting, 0.0, west, 0.0, -grid.posting, north),
-        ) as file:  # fmt: skip
-            file.write(elevation[::-1], 1)
-            file.units = ("m",)
-            file.set_band_description(1, "elevation above the origin of the site frame")
-        data = bytes(memory.getbuffer())
-    atomic_write(out, lambda part: part.write_bytes(data))
 
 
 def _write_mesh(terrain: Terrain, grid: Grid, out: Path) -> None:

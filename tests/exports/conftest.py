@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from lunarsim.rng import flight_seed
@@ -28,3 +30,16 @@ def saved_flight(tmp_path_factory):
 def flight(saved_flight):
     """Return the flight, read from its folder."""
     return Flight.load(saved_flight)
+
+
+@pytest.fixture(scope="session")
+def sited_flight(flight):
+    """Return the flight at a place near the meridian of 180 degrees, without [moon]."""
+    site = "\n[site]\nlatitude_deg = -43.25\nlongitude_deg = 179.9999\n"
+    return replace(flight, scenario=flight.scenario + site)
+
+
+@pytest.fixture(scope="session")
+def saved_sited_flight(sited_flight, tmp_path_factory):
+    """Return the folder of the flight with a place."""
+    return sited_flight.save(tmp_path_factory.mktemp("sited") / "one")

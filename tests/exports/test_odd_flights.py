@@ -88,8 +88,13 @@ def output(folder, name):
 def test_each_format_is_complete_or_refused(odd, name, tmp_path):
     flight = Flight.load(odd_flight(odd).save(tmp_path / "saved"))
     out = output(tmp_path, name)
-    if name == "pointcloud" and not len(flight.scans):
-        with pytest.raises(InputError, match="needs LiDAR scans, but the record has none"):
+    lacks = {
+        "kml": "needs the place of the site, but the scenario has no table",
+        "maps": None if flight.maps else "needs hazard maps, but the record has none",
+        "pointcloud": None if len(flight.scans) else "needs LiDAR scans, but the record has none",
+    }
+    if lacks.get(name):
+        with pytest.raises(InputError, match=lacks[name]):
             export_flight(flight, name, out)
         assert not out.exists()
         return
@@ -113,35 +118,36 @@ def test_a_moon_flight_in_moon_fixed_coordinates(tmp_path):
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_nothing_is_left_of_an_export_that_fails(name, flight, tmp_path, monkeypatch):
+def test_nothing_is_left_of_an_export_that_fails(name, sited_flight, tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OSError, match="No space left"):
-        export_flight(flight, name, output(tmp_path, name))
+        export_flight(sited_flight, name, output(tmp_path, name))
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("name", [name for name in FORMATS if FORMATS[name].suffixes])
-def test_a_failure_keeps_the_file_that_was_there(name, flight, tmp_path, monkeypatch):
+def test_a_failure_keeps_the_file_that_was_there(name, sited_flight, tmp_path, monkeypatch):
     out = output(tmp_path, name)
     out.write_text("earlier")
-    export_flight(flight, name, out)
+    export_flight(sited_flight, name, out)
     assert out.read_bytes() != b"earlier"
     out.write_text("earlier")
     monkeypatch.setattr(os, "fsync", lambda _: (_ for _ in ()).throw(OSError(28, "full")))
     with pytest.raises(OSError, match="No space left"):
-        export_flight(flight, name, out)
+        export_flight(sited_flight, name, out)
     assert out.read_text() == "earlier"
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_the_command_writes_each_format(name, saved_flight, tmp_path, monkeypatch):
+def test_the_command_writes_each_format(name, saved_sited_flight, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    done = CliRunner().invoke(main, ["export", str(saved_flight), "--format", name])
+    done = CliRunner().invoke(main, ["export", str(saved_sited_flight), "--format", name])
     assert done.exit_code == 0, done.output
-    expected = "one_csv" if name == "csv" else f"one{FORMATS[name].suffixes[0]}"
+    suffixes = FORMATS[name].suffixes
+    expected = f"one{suffixes[0]}" if suffixes else f"one_{name}"
     assert [path.name for path in tmp_path.iterdir()] == [expected]
     assert done.stdout.startswith(expected)
 

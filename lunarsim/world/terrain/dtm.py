@@ -239,6 +239,22 @@ def load_terrain(
     return Heightfield(grid, (z - mean).astype(np.float32))
 
 
+def mean_elevation(
+    path: Path,
+    *,
+    posting: float | None = None,
+    window: tuple[int, int, int, int] | None = None,
+    unit: str | None = None,
+    nodata: float | Sequence[float] | None = None,
+) -> float:
+    """Return the mean height in the file, m, which `load_terrain` subtracts.
+
+    The parameters and errors are those of `load_terrain`.
+    """
+    with open_raster(path) as source:
+        return float(np.nanmean(_square_grid_heights(source, posting, window, unit, nodata)[0]))
+
+
 def read_frame(
     path: Path, *, posting: float | None = None, window: tuple[int, int, int, int] | None = None
 ) -> tuple[Frame, CRS | None]:

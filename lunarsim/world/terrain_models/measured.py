@@ -132,6 +132,16 @@ class RasterTerrain(ReliefRoughness):
         cols, rows = (max(side, min_side) / self.posting for side in size[1:])
         return size.posts, cols * rows
 
+    def mean_elevation(self) -> float:
+        """Return the mean height in the raster, m: that of the origin of the site frame."""
+        from lunarsim.world.terrain.dtm import mean_elevation  # noqa: PLC0415  (loads slowly)
+
+        assert self.path is not None
+        return mean_elevation(
+            self.path, posting=self.dtm_posting, window=self.dtm_window, unit=self.dtm_unit,
+            nodata=self.dtm_nodata,
+        )  # fmt: skip
+
     def build(self, rocks: RockPopulation, streams: RandomStreams) -> Terrain:
         """Return the relief with random rocks of one flight.
 
