@@ -36,8 +36,8 @@ class _ExportCommand(click.Command):
 )
 @click.option(
     "--out", type=PATH, default=None, show_default="name of the folder with the format's suffix",
-    help="File to write; for csv and maps, a new folder. The suffix selects the kind of world: .tif, .ply "
-    "or .glb.",
+    help="File to write; for csv and maps, a new folder. The suffix selects the kind of world: "
+    ".tif, .ply or .glb.",
 )  # fmt: skip
 @click.option(
     "--epoch", default=None, metavar="DATE",
@@ -46,14 +46,14 @@ class _ExportCommand(click.Command):
 )  # fmt: skip
 @click.option(
     "--state", default="true", show_default=True, metavar="STATE",
-    help="State for oem, aem and kml: true, or estimate (of navigation). The estimate in an OEM has its "
-    "covariance.",
+    help="State for oem, aem and kml: true, or estimate (of navigation). The estimate in an OEM "
+    "has its covariance.",
 )  # fmt: skip
 @click.option(
     "--longitude", type=float, default=None,
     show_default="that of the scenario's [site]; without it, coordinates of the site frame",
-    help="Longitude of the origin of the site frame (deg, positive east). OEM, AEM, KML and maps then "
-    "have coordinates fixed to the Moon; the scenario needs a table [moon].",
+    help="Longitude of the origin of the site frame (deg, positive east). OEM, AEM, KML and "
+    "maps then have coordinates fixed to the Moon; the scenario needs a table [moon].",
 )  # fmt: skip
 @allow_options
 def export(

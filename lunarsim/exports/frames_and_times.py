@@ -208,12 +208,14 @@ class ExportFrame:
 
 
 def moon_frame(flight: Flight, longitude_deg: float | None) -> ExportFrame | None:
-    """Return the frame fixed to the Moon, also for a site on a flat Moon; None without a place.
+    """Return the frame fixed to the Moon for a flight; None without a place.
+
+    A longitude (deg) replaces that of the site in scenarios with a table [moon].
 
     Raises
     ------
     InputError
-        If a longitude (deg) is given but the scenario has no table [moon], or the raster of
+        If a longitude is given but the scenario has no table [moon], or the raster of
         measured terrain cannot be read.
     """
     if longitude_deg is not None:
@@ -223,7 +225,7 @@ def moon_frame(flight: Flight, longitude_deg: float | None) -> ExportFrame | Non
 
 
 def frame_of_scenario(scenario: Scenario) -> ExportFrame | None:
-    """Return the frame fixed to the Moon for the site of a scenario; None without a site.
+    """Return the frame fixed to the Moon for a scenario; None without a site.
 
     Without a table [moon], the plane of the site touches a sphere of 1,737,400 m plus the mean
     elevation of measured terrain.

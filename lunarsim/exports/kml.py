@@ -1,4 +1,4 @@
-"""Path and sites of a flight as KML, for Google Earth and geographic information systems."""
+"""Path and sites of a flight as KML, for Google Earth and other programs."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _points(flight: Flight, path: Array) -> Iterator[tuple[str, Array]]:
 
 
 def _add_place(document: ET.Element, name: str, kind: str, coordinates: Array) -> None:
-    """Add a placemark with coordinates (n, 3): longitude, latitude, deg, and altitude, m."""
+    """Add a placemark; coordinates (n, 3) are longitude, latitude (deg), altitude (m)."""
     mark = ET.SubElement(document, "Placemark")
     ET.SubElement(mark, "name").text = name
     shape = ET.SubElement(mark, kind)

@@ -33,7 +33,7 @@ def at(flight, latitude, longitude, tables=""):
 def on_sphere(place, position, radius=RADIUS):
     """Return longitude, latitude (deg) and distance from the centre (m) of ENU points (n, 3).
 
-    The point at the arc `c` from the site, in the azimuth `a`, by the laws of spherical trigonometry.
+    The point lies at the arc `c` from the site in the azimuth `a`: spherical law of cosines.
     """
     lat0, lon0 = np.deg2rad(place)
     east, north, up = np.asarray(position, float).T
