@@ -160,10 +160,15 @@ def import_file(
     from rich.table import Table
 
     from lunarsim.console import plain_console
-    from lunarsim.world.terrain.imported_scenario import area_description, write_scenario
+    from lunarsim.world.terrain.imported_scenario import (
+        area_description,
+        check_raster_output,
+        write_scenario,
+    )
     from lunarsim.world.terrain.terrain_import import import_area
 
     check_output("--out", out, ".toml")
+    check_raster_output(file, out)
     area = import_area(
         file, at, size, posting=posting, max_void=fill_voids, unit=unit, nodata=nodata or None
     )

@@ -6,8 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import tomli_w
 
-from lunarsim.atomic_files import atomic_write_text
+from lunarsim.atomic_files import atomic_write
+from lunarsim.errors import InputError, check_output
+from lunarsim.world.terrain.raster_file import open_raster
 from lunarsim.world.terrain.terrain_import import LandingArea
 
 # Grid spacing of the relief of the scenario: about this many points per side, but not finer than
@@ -19,7 +22,10 @@ def area_description(area: LandingArea) -> Iterator[tuple[str, str]]:
     """Yield name and value of each property of an imported area."""
     n = len(area.heights)
     low, high = np.nanmin(area.heights), np.nanmax(area.heights)
-    yield "source", f"{area.source}, {area.reference}, {area.source_posting:.4g} m between posts"
+    yield (
+        "source",
+        f"{area.source}, {_printable(area.reference)}, {area.source_posting:.4g} m between posts",
+    )
     if area.latitude is not None:
         yield "centre", f"latitude {area.latitude:.6f} deg, longitude {area.longitude:.6f} deg"
         yield "body", ", ".join(f"{key} = {value:.10g}" for key, value in area.body.items())
@@ -40,13 +46,13 @@ def write_scenario(area: LandingArea, source: Path, out: Path) -> Path:
     """Write a scenario over an imported area; return the path of its raster.
 
     The raster has the name of the scenario file and the suffix ``.tif``. Existing files are
-    replaced.
+    replaced. If one of them cannot be written, no new file is left.
     """
     raster = out.with_suffix(".tif")
-    area.write(raster)
+    is_new = not raster.exists()
     side = (len(area.heights) - 1) * area.posting
     posting = max(side / _RELIEF_POINTS, _MIN_POSTING_M)
-    lines = [f"# Terrain of {source.name}"]
+    lines = [f"# Terrain of {_printable(source.name)}"]
     lines += [f"# {name}: {value}" for name, value in area_description(area)]
     lines += [f"name = {_text(out.stem)}", 'description = "Imported terrain"', ""]
     if area.latitude is not None:
@@ -63,8 +69,30 @@ def write_scenario(area: LandingArea, source: Path, out: Path) -> Path:
         f"hurst = {area.hurst:.4f}", f"rms_slope_deg = {np.degrees(area.rms_slope):.4f}",
         "", "[rocks]", "cover = 0.02              # an assumption: heights do not show rocks", "",
     ]  # fmt: skip
-    atomic_write_text(out, "\n".join(lines))
+    text = "\n".join(lines)
+
+    def write(part: Path) -> None:
+        part.write_text(text, encoding="utf-8")
+        area.write(raster)
+
+    try:
+        atomic_write(out, write)
+    except BaseException:
+        if is_new:
+            raster.unlink(missing_ok=True)
+        raise
     return raster
+
+
+def check_raster_output(source: Path, out: Path) -> None:
+    """Raise InputError if the raster beside `out` replaces a file of the source."""
+    raster = out.with_suffix(".tif")
+    check_output("--out", raster, ".tif")
+    with open_raster(source) as file:
+        if raster.exists() and any(raster.samefile(n) for n in file.files if Path(n).exists()):
+            raise InputError(
+                "--out", str(out), f"must have another name, because {raster.name} is the source"
+            )
 
 
 def _voids(area: LandingArea) -> str:
@@ -89,5 +117,9 @@ def _precision(area: LandingArea) -> str:
 
 def _text(text: str) -> str:
     """Return a TOML string."""
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'
+    return tomli_w.dumps({"a": text}).removeprefix("a = ").rstrip("\n")
+
+
+def _printable(text: str) -> str:
+    """Return a text with a question mark for each character not allowed in comments."""
+    return "".join(c if c.isprintable() else "?" for c in text)

@@ -52,7 +52,8 @@ class Frame:
     metres_per_map_unit
         Length of a map unit as stated by the file, m; None in degrees.
     origin
-        Latitude and longitude, deg, or map coordinates of a plane map, of the frame's origin.
+        Planetocentric latitude and longitude, deg, or map coordinates of a plane map, of the
+        frame's origin.
     """
 
     description: str
@@ -296,9 +297,9 @@ def _spherical_mappings(
 ) -> tuple[tuple[float, float], tuple[Mapping, Mapping]]:
     """Return origin of a local frame, and mappings between map and frame.
 
-    The local frame is an azimuthal equidistant projection about `origin` (latitude and longitude,
-    deg); None: about the centre of a window of `cols` x `rows`. `transform` converts columns and
-    rows to map coordinates.
+    The local frame is an azimuthal equidistant projection about `origin` (planetocentric latitude
+    and longitude, deg); None: about the centre of a window of `cols` x `rows`. `transform` converts
+    columns and rows to map coordinates.
     """
     body = body_of(source.crs)
     crs = _on_sphere(source.crs, body)
@@ -309,8 +310,12 @@ def _spherical_mappings(
         raise _refusal(source, "has its centre outside the domain of its projection")
     x0 = cx
     if origin is not None:
-        lat, lon = origin
-        (x0,), _ = warp(globe, crs, [lon], [lat])
+        lat, lon = planetodetic(origin[0], body), origin[1]
+        try:
+            (x0,), _ = warp(globe, crs, [lon], [lat])
+        except CPLE_BaseError:
+            place = f"latitude {origin[0]:g} and longitude {lon:g} deg"
+            raise _refusal(source, f"has a projection that excludes {place}") from None
     edge = _refusal(
         source, "extends beyond the edge of its projection",
         "Choose a part of the raster with terrain.dtm_window.",
@@ -348,8 +353,28 @@ def _spherical_mappings(
         again = to_map(east, north)
         off = np.hypot(again[0] - x, again[1] - y) / min(_step_lengths(transform))
         if np.all(off[np.isfinite(off)] < _MAX_ROUND_TRIP_POSTS):
-            return (lat, lon), (to_local, to_map)
+            return (planetocentric(lat, body), lon), (to_local, to_map)
     raise edge
+
+
+def planetodetic(latitude: float, body: dict[str, Any]) -> float:
+    """Return the planetodetic latitude, deg, of a planetocentric one on a body.
+
+    `body` has the PROJ parameters of `body_of`. References on a flattened body, and the projections
+    of PROJ, have planetodetic latitudes.
+    """
+    return _scaled_tangent(latitude, (1.0 - 1.0 / body["rf"]) ** -2) if "rf" in body else latitude
+
+
+def planetocentric(latitude: float, body: dict[str, Any]) -> float:
+    """Return the planetocentric latitude, deg, of a planetodetic one on a body."""
+    return _scaled_tangent(latitude, (1.0 - 1.0 / body["rf"]) ** 2) if "rf" in body else latitude
+
+
+def _scaled_tangent(angle: float, factor: float) -> float:
+    """Return the angle, deg, with `factor` times the tangent of `angle`, deg."""
+    radians = np.radians(angle)
+    return float(np.degrees(np.arctan2(factor * np.sin(radians), np.cos(radians))))
 
 
 def _is_cylindrical(crs: CRS, globe: CRS, lon: float, lat: float) -> bool:

@@ -28,6 +28,7 @@ from lunarsim.world.terrain.raster_frame import (
     frame_of_window,
     is_complete_turn,
     is_placed,
+    planetodetic,
 )
 from lunarsim.world.terrain.raster_heights import HeightScale, RasterHeights
 
@@ -88,9 +89,9 @@ class LandingArea:
         crs = None
         if self.latitude is not None:
             crs = rasterio.crs.CRS.from_dict(
-                {"proj": "aeqd", "lat_0": self.latitude, "lon_0": self.longitude, "units": "m"}
-                | self.body
-            )
+                {"proj": "aeqd", "lat_0": planetodetic(self.latitude, self.body),
+                 "lon_0": self.longitude, "units": "m"} | self.body
+            )  # fmt: skip
         known = self.heights[np.isfinite(self.heights)]
         offset = float(np.rint(known.mean())) if np.abs(known).max() > _MAX_EXACT_HEIGHT_M else 0.0
         profile = {
@@ -149,9 +150,10 @@ def import_area(
         raise InputError("--at", place, "must be a latitude up to 90 and a longitude up to 360 deg")
     with open_raster(path) as source:
         full = Window(0, 0, source.width, source.height)
-        if place is not None and not is_placed(source):
+        on_body = is_placed(source) and (source.crs.is_geographic or source.crs.is_projected)
+        if place is not None and not on_body:
             raise InputError(
-                "--at", place, "must be omitted, because the raster has no georeferencing"
+                "--at", place, "must be omitted, because the raster has no place on a body"
             )
         given = None if is_placed(source) else posting
         frame = frame_of_window(source, full, given, place)
@@ -172,7 +174,6 @@ def import_area(
             pixel_to_map=frame.pixel_to_map @ Affine.translation(part.col_off, part.row_off),
         )  # fmt: skip
         heights = interpolated(moved, z, axis, axis)
-        on_body = is_placed(source) and (source.crs.is_geographic or source.crs.is_projected)
         body = body_of(source.crs) if on_body else {}
         driver, source_posting = source.driver, frame.mean_posting
         latitude, longitude = frame.origin if on_body else (None, None)

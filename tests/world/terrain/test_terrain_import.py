@@ -241,3 +241,81 @@ def test_bad_commands_write_nothing(tmp_path):
         assert done.exit_code == 2
         assert "Traceback" not in done.output
     assert set(tmp_path.iterdir()) == before
+
+
+def test_the_source_is_never_replaced(tmp_path):
+    path = small_moon(tmp_path)
+    before = path.read_bytes()
+    (tmp_path / "link.tif").symlink_to(path)
+    for out in ("body.toml", "link.toml"):
+        done = run(path, "--at", 0, 0, "--size", "0.4km", "--out", tmp_path / out)
+        assert done.exit_code == 2
+        assert "--out: must have another name" in done.output
+    assert path.read_bytes() == before
+    assert not list(tmp_path.glob("*.toml"))
+
+
+def test_names_cannot_add_lines_to_the_scenario(tmp_path):
+    wkt = rasterio.CRS.from_proj4("+proj=longlat +R=3000").to_wkt()
+    path = small_moon(tmp_path).rename(tmp_path / "b\n[simulation]\ncycle_s = 9 #.tif")
+    with rasterio.open(path, "r+") as file:
+        file.crs = rasterio.CRS.from_wkt(wkt.replace('"unknown"', '"c\n[dust]\n#"', 1))
+    out = tmp_path / "d\ne.toml"
+    assert run(path, "--at", 0, 0, "--size", "0.4km", "--out", out).exit_code == 0
+    scenario = lunarsim.Scenario.load(out)
+    assert scenario.name == "d\ne" and scenario.dust is None
+    assert scenario.simulation == lunarsim.Scenario.from_dict({}).simulation
+    assert scenario.terrain.path == tmp_path / "d\ne.tif"
+
+
+def test_a_place_needs_a_reference_on_a_body(tmp_path):
+    with rasterio.open(
+        tmp_path / "z.tif", "w", driver="GTiff", width=50, height=50, count=1, dtype="float32",
+        crs=rasterio.CRS.from_wkt('LOCAL_CS["plane",UNIT["metre",1.0]]'),
+        transform=Affine(1, 0, 0, 0, -1, 50),
+    ) as file:  # fmt: skip
+        file.write(np.arange(2500, dtype="float32").reshape(50, 50), 1)
+    with pytest.raises(InputError, match=r"--at: must be omitted.* no place on a body"):
+        import_area(tmp_path / "z.tif", (10.0, 20.0), 20.0)
+    assert import_area(tmp_path / "z.tif", None, 20.0).latitude is None
+
+
+def test_a_place_on_the_other_side_of_a_polar_map(tmp_path):
+    with pytest.raises(InputError, match="has a projection that excludes latitude -90"):
+        import_area(small_moon(tmp_path, polar=True), (-90.0, 0.0), 400.0)
+
+
+def test_places_on_a_flattened_body_are_planetocentric(tmp_path):
+    """The heights of the file are its planetodetic latitudes."""
+    a, b, step = 1_738_100.0, 1_736_000.0, 0.0005
+    rows = 45.2 - step * (np.arange(800) + 0.5)
+    z = np.repeat(1e4 * (rows[:, None] - 45.0), 60, axis=1)
+    with rasterio.open(
+        tmp_path / "z.tif", "w", driver="GTiff", width=60, height=800, count=1, dtype="float64",
+        crs=f"+proj=longlat +a={a} +b={b}", transform=Affine(step, 0, 10, 0, -step, 45.2),
+    ) as file:  # fmt: skip
+        file.write(z, 1)
+    area = import_area(tmp_path / "z.tif", (45.0, 10.015), 120.0, posting=10.0)
+    middle = area.heights[6, 6]
+    expected = np.degrees(np.arctan((a / b) ** 2 * np.tan(np.radians(45.0))))
+    assert 45.0 + middle / 1e4 == pytest.approx(expected, abs=1e-7)
+    assert (area.latitude, area.longitude) == pytest.approx((45.0, 10.015), abs=1e-12)
+    area.write(tmp_path / "out.tif")
+    again = import_area(tmp_path / "out.tif", None, 80.0)
+    assert (again.latitude, again.longitude) == pytest.approx((45.0, 10.015), abs=1e-9)
+    assert again.heights == pytest.approx(area.heights[2:-2, 2:-2], abs=1e-2)
+
+
+@pytest.mark.parametrize("failing", [1, 2])
+def test_a_full_disk_leaves_nothing(tmp_path, monkeypatch, failing):
+    path, calls = small_moon(tmp_path), []
+
+    def fsync(_):
+        calls.append(1)
+        if len(calls) == failing:
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", fsync)
+    done = run(path, "--at", 0, 0, "--size", "0.4km", "--out", tmp_path / "a.toml")
+    assert done.exit_code != 0 and "No space left" in done.output
+    assert {p.name for p in tmp_path.iterdir()} == {"body.tif"}
