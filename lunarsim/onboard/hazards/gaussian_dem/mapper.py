@@ -38,6 +38,11 @@ from lunarsim.typing import Array
 
 SafetyTest = Literal["calibrated", "level", "planes"]
 
+# Spread of the height differences between a scan and the map from which on the scan is rejected,
+# over the roughness limit: as the largest noise of the calibrated domain. In flights over the
+# scenarios golombek, hirise, instruments and hard, it is at most 0.32; in dense dust it exceeds 1.
+_MAX_SPREAD_RATIO = 0.5
+
 
 @dataclass(frozen=True)
 class GaussianDemMapperSettings:
@@ -206,7 +211,8 @@ class GaussianDemMapper(HazardMapper):
         points = scan.points(estimate.position, estimate.attitude)
         early = self._unleveled.includes(estimate.tilt_sigma)
         self._max_tilt_sigma = float(np.maximum(self._max_tilt_sigma, estimate.tilt_sigma))
-        self._align_to(points)
+        if not self._align_to(points):
+            return
         taken = (self._provisional if early else self._samples).add(
             points,
             scan.height_sigma(estimate.attitude),
@@ -214,26 +220,31 @@ class GaussianDemMapper(HazardMapper):
         )
         self._is_outdated |= taken > 0
 
-    def _align_to(self, points: Array) -> None:
+    def _align_to(self, points: Array) -> bool:
         """Shift the map and all stored samples to the position of a new scan.
 
         `points` (n, 3) are the new scan, local frame, m. Only significant offsets are corrected.
+        The result is False for a scan that contradicts the samples, for instance because it sees
+        dust: its heights differ from theirs by more than half of the roughness limit, 1 sigma. It
+        changes no sample, and the map leaves its calibrated domain.
         Samples at two heights would look like steps all over the map, and rocks at two places like
         wider and lower rocks. The newest scan defines the position, because guidance uses it.
         """
         found = self.pool.offset(points)
         if found is None:
-            return
-        if found.is_tilted(self._max_tilt_sigma):
+            return True
+        is_rejected = found.spread > _MAX_SPREAD_RATIO * self.lander.roughness_limit
+        if is_rejected or found.is_tilted(self._max_tilt_sigma):
             self._is_consistent, self._is_outdated = False, True
-        if not found.shift.any():
-            return
+        if is_rejected or not found.shift.any():
+            return not is_rejected
         self._samples, self._provisional = (
             one.shifted(found.shift) for one in (self._samples, self._provisional)
         )
         self.grid = self._samples.grid
         self._displacement = self._displacement + found.shift
         self._timer.force_update()
+        return True
 
     @property
     def displacement(self) -> Array:

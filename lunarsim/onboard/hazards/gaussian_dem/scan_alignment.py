@@ -47,12 +47,15 @@ class ScanOffset:
         that is not significant is 0.
     height_sigma
         Standard error of the height offset, m.
+    spread
+        Standard deviation, from the median, of the height differences that remain, m.
     tilt, tilt_sigma
         Angle between the scan and the stored samples, and its standard error, rad.
     """
 
     shift: Array
     height_sigma: float
+    spread: float
     tilt: float
     tilt_sigma: float
 
@@ -112,7 +115,7 @@ def scan_offset(stored: Array, grid: Grid, points: ArrayLike) -> ScanOffset | No
     sigma = _MEDIAN_TO_MEAN_ERROR * spread / float(np.sqrt(len(moved)))
     if abs(rise) < max(_MIN_OFFSET_SIGMAS * sigma, _MIN_HEIGHT_M):
         rise = 0.0
-    return ScanOffset(np.array([*shift, rise]), sigma, *tilt)
+    return ScanOffset(np.array([*shift, rise]), sigma, spread, *tilt)
 
 
 def _fit_tilt(
