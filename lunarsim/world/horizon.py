@@ -22,7 +22,7 @@ from lunarsim.world.terrain import Heightfield
 HeightFunction = Callable[[Array], Array]
 # Number of azimuths of a horizon: half the diameter of the Sun, 0.25 deg, apart.
 AZIMUTHS = 1440
-# Distance between samples over distance from the eye. On a slope of 30 deg, a summit between two
+# Distance between samples over distance from the observer. On a slope of 30 deg, a summit between two
 # samples is missed by at most 0.5 * tan(30 deg) of it, 0.017 deg.
 _STEP_RATIO = 1e-3
 # Azimuths that are sampled together, to limit memory.
@@ -86,7 +86,7 @@ def terrain_horizon(
 ) -> Horizon:
     """Return the horizon around a point from the terrain out to a maximum range.
 
-    Beyond the known terrain, the surface is the sphere through the terrain below the eye.
+    Beyond the known terrain, the surface is the sphere through the terrain below the observer.
 
     Parameters
     ----------
@@ -95,22 +95,22 @@ def terrain_horizon(
         with NaN for unknown heights; or heightfields in these coordinates, of which the first one
         that covers a point counts.
     position
-        Arc lengths (2,) of the eye, east and north, m.
+        Arc lengths (2,) of the observer, east and north, m.
     height
-        Height of the eye above the terrain, m.
+        Height of the observer above the terrain, m.
     radius
         Radius of the sphere, m.
     posting
         Grid spacing of the finest terrain, m. The first sample is at half of it.
     max_range
-        Maximum arc length from the eye, m.
+        Maximum arc length from the observer, m.
     azimuths
         Number of azimuths.
 
     Raises
     ------
     InputError
-        If a length is not positive, or the terrain is unknown below the eye.
+        If a length is not positive, or the terrain is unknown below the observer.
 
     Examples
     --------
