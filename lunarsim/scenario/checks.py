@@ -342,8 +342,7 @@ def _check_map_size(field: str, mapper: Any, scenario: CheckedTables) -> None:
 def _check_navigation(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
     """Check that navigation has the sensors, prior map and gravity that it needs.
 
-    A table [far_terrain] also needs a table [moon]. Inertial navigation permits no [moon], because
-    it assumes uniform gravity.
+    Inertial navigation permits no [moon], because it assumes uniform gravity.
     """
     navigation = scenario.navigation.make()
     for wanted in navigation.needs:
@@ -354,11 +353,6 @@ def _check_navigation(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
                 "scenario has none",
                 "Add the sensor as a table [sensors.NAME].", show_value=False,
             )  # fmt: skip
-    if scenario.far_terrain is not None and scenario.moon is None:
-        raise InputError(
-            "far_terrain", "given", "needs a table [moon]",
-            "Add [moon] or delete [far_terrain].", show_value=False,
-        )  # fmt: skip
     if scenario.moon is not None and InertialSamples in navigation.needs:
         raise InputError(
             "moon", "given",

@@ -251,6 +251,81 @@ def read_frame(
         return frame, source.crs if is_placed(source) else None
 
 
+def load_around(
+    path: Path,
+    map_frame: tuple[Frame, CRS],
+    half_side: float,
+    *,
+    posting: float | None = None,
+    unit: str | None = None,
+    nodata: float | Sequence[float] | None = None,
+) -> Heightfield:
+    """Load an elevation raster into the frame of another raster, the map.
+
+    Parameters
+    ----------
+    path, posting, unit, nodata
+        Raster, as for `load_terrain`.
+    map_frame
+        Local frame and coordinate reference system of the map.
+    half_side
+        Half the side of the square around the map's origin to load, m.
+
+    Returns
+    -------
+    Heightfield
+        Elevations above their mean, m; NaN outside the raster.
+
+    Raises
+    ------
+    InputError
+        If the file is refused, has gaps, does not cover the map's origin, or if its coordinates
+        have no relation to those of the map.
+    """
+    around, crs = map_frame
+    with open_raster(path) as source:
+        both = source.crs, crs
+        if source.crs != crs and not all(c.is_geographic or c.is_projected for c in both):
+            raise InputError(
+                "terrain.path", source.name, "must have the local coordinate reference of the map",
+                "Give terrain.centre_m.",
+            )  # fmt: skip
+        complete = frame_of_window(source, _window(None, source), None, around)
+        col, row = (float(v[0]) for v in complete.pixels(np.zeros(1), np.zeros(1)))
+        if not (1.0 <= col <= complete.cols - 1.0 and 1.0 <= row <= complete.rows - 1.0):
+            raise InputError(
+                "terrain.path", source.name,
+                "must cover the origin of the map by its coordinate reference",
+                "Choose another raster, or give terrain.centre_m, for instance [0, 0].",
+            )  # fmt: skip
+        part = _window(_within(complete, half_side), source)
+        frame = frame_of_window(source, part, None, around)
+        heights = RasterHeights(source, HeightScale.of(source, unit), _values(nodata)).read(part)
+        if not np.isfinite(heights).all():
+            raise InputError(
+                "terrain.path", source.name, "must be a raster without gaps",
+                "Fill its gaps or choose another raster.",
+            )  # fmt: skip
+        step = posting or frame.mean_posting
+        z = _resampled(frame, heights, step, posting)
+    rows, cols = z.shape
+    grid = Grid(-0.5 * (cols - 1) * step, -0.5 * (rows - 1) * step, step, rows, cols)
+    return Heightfield(grid, (z - np.nanmean(z)).astype(np.float32))
+
+
+def _within(frame: Frame, half_side: float) -> tuple[int, int, int, int]:
+    """Return the window of a raster that contains a square around the origin of its frame.
+
+    The window is first and last row, first and last column; `half_side` is in m.
+    """
+    side = np.linspace(-half_side, half_side, 65)
+    east, north = (v.ravel() for v in np.meshgrid(side, side))
+    col, row = (v[np.isfinite(v)] for v in frame.pixels(east, north))
+    left, right = (int(v) for v in np.clip([col.min() - 1, col.max() + 2], 0, frame.cols))
+    top, bottom = (int(v) for v in np.clip([row.min() - 1, row.max() + 2], 0, frame.rows))
+    return top, bottom, left, right
+
+
 def _square_grid_heights(
     source: DatasetReader,
     posting: float | None,
