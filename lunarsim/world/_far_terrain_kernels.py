@@ -242,8 +242,11 @@ def sweep_shadow(thread_slice, across, start, reach, towards, slope, surface, sh
     for n in range(thread_slice[0], across.shape[0], thread_slice[1]):
         shadow[n] = -np.inf
         place[n] = start[n]
-        ahead = 0.0
-        while start[n] + ahead < reach:
+        ahead = 0.25 * surface.finest
+        # Beyond, no terrain is high enough.
+        while start[n] + ahead < reach and (
+            surface.top - (start[n] + ahead) * slope > shadow[n] or slope <= 0.0
+        ):
             s = start[n] + ahead
             x = s * towards[0] - across[n] * towards[1]
             y = s * towards[1] + across[n] * towards[0]

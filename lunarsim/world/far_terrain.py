@@ -303,6 +303,8 @@ class FarTerrain:
         Function that returns a level by its number and builds it on first use.
     is_placed
         Whether the first level is a raster that fades out at its edges, wherever they are.
+    shadows
+        Kept shadows on the map, by direction and size of the Sun (`FarShadow.of`).
     """
 
     terrain: Terrain
@@ -310,6 +312,7 @@ class FarTerrain:
     settings: FarTerrainSettings
     level: Callable[[int], Heightfield] = field(repr=False, compare=False)
     is_placed: bool = False
+    shadows: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def surface_arc(self, position: ArrayLike) -> Array:
         """Return surface coordinates (..., 2) of the points below positions (..., 3).
