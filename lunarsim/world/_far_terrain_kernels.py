@@ -233,8 +233,8 @@ def sweep_shadow(thread_slice, across, start, reach, towards, slope, surface, sh
     """Find the terrain beyond the map that casts the highest shadow along lines towards the Sun.
 
     Line n has the coordinate `across[n]`, m, to the left of the horizontal direction `towards` (2,)
-    to the Sun. It is sampled from `start[n]`, where it leaves the map, to `reach`, m. `slope` is
-    the tangent of the Sun's elevation. The height of a shadow, m, at a distance s along the line is
+    to the Sun. It is sampled from `start[n]`, where it leaves the map, to `reach`, m. `slope`, more
+    than 0, is the tangent of the Sun's elevation. The height of a shadow, m, at a distance s along the line is
     `shadow[n] + s * slope`; `place[n]`, m, is the distance of the terrain that casts it.
     `thread_slice` is (thread, number of threads).
     """
@@ -245,7 +245,7 @@ def sweep_shadow(thread_slice, across, start, reach, towards, slope, surface, sh
         ahead = 0.25 * surface.finest
         # Beyond, no terrain is high enough.
         while start[n] + ahead < reach and (
-            surface.top - (start[n] + ahead) * slope > shadow[n] or slope <= 0.0
+            surface.top - (start[n] + ahead) * slope > shadow[n]
         ):
             s = start[n] + ahead
             x = s * towards[0] - across[n] * towards[1]

@@ -2,8 +2,9 @@
 
 Each vertical strip of the Sun's disc has an azimuth. Towards it, the terrain beyond the map is swept
 along parallel lines: on each line, the terrain that casts the highest shadow is found once for all
-points of the map. Its elevation angle at a point is exact, also at the point's own height. The
-visible part of the disc follows as in `lunarsim.world.horizon.Horizon.visible_fraction`.
+points of the map. Its elevation angle at a point is exact, also at the point's own height. Of a
+strip, shadows of its lower end and of its middle are found: terrain below the lower end hides
+nothing. The visible part of the disc follows as in `Horizon.visible_fraction`.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ _LINE_TIME_US = 300.0
 # Maximum number of Sun directions whose shadows a far terrain keeps.
 _MAX_KEPT = 4
 _MAX_ELEVATION = np.deg2rad(85.0)
+# Minimum tangent of an elevation for which shadows are found: 0.03 deg.
+_MIN_SLOPE = 5e-4
 
 
 @dataclass(frozen=True)
@@ -36,24 +39,30 @@ class _Strip:
         Horizontal unit vector to the strip (2,), east and north.
     half
         Half the height of the strip, rad; 0: the Sun is a point.
-    across, shadow, place
-        Coordinates of the lines to the left of `towards`, m; height of the shadow above the origin
-        and distance of the terrain that casts it, m, all (n,).
+    across
+        Coordinates of the lines to the left of `towards` (n,), m.
+    slopes, shadow, place
+        Tangents of elevations (m,); for each of them, the height of the shadow above the origin,
+        and the distance of the terrain that casts it (m, n), m.
     """
 
     towards: Array
     half: float
     across: Array
+    slopes: tuple[float, ...]
     shadow: Array
     place: Array
 
-    def horizon(self, points: Array, slope: float) -> Array:
+    def horizon(self, points: Array) -> Array:
         """Return the elevation angle, rad, of the terrain beyond the map at points (n, 3)."""
         along = points[:, :2] @ self.towards
         left = points[:, 1] * self.towards[0] - points[:, 0] * self.towards[1]
-        shadow = np.interp(left, self.across, self.shadow)
-        place = np.interp(left, self.across, self.place)
-        return np.asarray(np.arctan2(shadow + place * slope - points[:, 2], place - along))
+        angle = np.full(len(points), -0.5 * np.pi)
+        for slope, shadow, place in zip(self.slopes, self.shadow, self.place, strict=True):
+            away = np.interp(left, self.across, place)
+            top = np.interp(left, self.across, shadow) + away * slope
+            angle = np.maximum(angle, np.arctan2(top - points[:, 2], away - along))
+        return angle
 
 
 @dataclass(frozen=True)
@@ -87,10 +96,9 @@ class FarShadow:
 
         Only terrain beyond the map obstructs it.
         """
-        slope = float(np.tan(self.elevation))
         lit, total = np.zeros(len(points)), 0.0
         for strip in self.strips:
-            above = self.elevation - strip.horizon(points, slope)
+            above = self.elevation - strip.horizon(points)
             if strip.half == 0.0:
                 return np.where(above > 0.0, 1.0, 0.0)
             lit += strip.half * np.clip(0.5 + 0.5 * above / strip.half, 0.0, 1.0)
@@ -129,9 +137,12 @@ def _swept(terrain: FarTerrain, azimuth: float, elevation: float, half: float) -
         if abs(towards[axis]) > 1e-9:
             edge = high if towards[axis] > 0.0 else low
             start = np.minimum(start, (edge - across * offset) / towards[axis])
-    shadow, place = np.empty(count), np.empty(count)
-    kernels.sweep_shadow.run_loop(
-        count, _LINE_TIME_US, across, start, terrain.surface.extent, towards,
-        float(np.tan(elevation)), terrain.surface, shadow, place,
-    )  # fmt: skip
-    return _Strip(towards, float(half), across, shadow, place)
+    elevations = (elevation,) if half == 0.0 else (elevation - half, elevation)
+    slopes = tuple(max(float(np.tan(e)), _MIN_SLOPE) for e in elevations)
+    shadow, place = np.empty((len(slopes), count)), np.empty((len(slopes), count))
+    for k, slope in enumerate(slopes):
+        kernels.sweep_shadow.run_loop(
+            count, _LINE_TIME_US, across, start, terrain.surface.extent, towards, slope,
+            terrain.surface, shadow[k], place[k],
+        )  # fmt: skip
+    return _Strip(towards, float(half), across, slopes, shadow, place)

@@ -23,7 +23,7 @@ from lunarsim.grid import Grid, check_raster_size
 from lunarsim.models.gravity import CentralGravity
 from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.rng import RandomStreams
-from lunarsim.typing import Array
+from lunarsim.typing import Array, BoolArray
 from lunarsim.world import _far_terrain_kernels as kernels
 from lunarsim.world.terrain import Heightfield, RayHits, Terrain, fractal_relief
 
@@ -183,6 +183,7 @@ def _load_measured(settings: FarTerrainSettings) -> Heightfield:
     The centre of the raster is placed at the origin of the map.
     """
     field = _load_raster(settings, None)
+    _check_gaps(settings, np.isfinite(field.z))
     g = field.grid
     x0, y0 = (-0.5 * (n - 1) * g.posting for n in (g.cols, g.rows))
     middle = field.z[g.rows // 2, g.cols // 2]
@@ -213,21 +214,24 @@ def _load_raster(settings: FarTerrainSettings, map_frame: MapFrame | None) -> He
     try:
         if map_frame is not None:
             return dtm.load_around(settings.path, map_frame, 0.5 * settings.sizes[0], **options)
-        field = dtm.load_terrain(settings.path, **options)
+        return dtm.load_terrain(settings.path, **options)
     except InputError as error:  # the keys have the same names in [terrain]
         name, problem, remedy = (
             text.replace("terrain.", "far_terrain.")
             for text in (error.field, error.problem, error.remedy)
         )
         raise InputError(name, error.value, problem, remedy, error.show_value) from None
-    if not np.isfinite(field.z).all():
+
+
+def _check_gaps(settings: FarTerrainSettings, known: BoolArray) -> None:
+    """Raise InputError unless all heights (rows, cols) of the raster are known."""
+    if not known.all():
         raise InputError(
             "far_terrain.path",
             str(settings.path),
             "must be a raster without gaps",
             "Fill its gaps or choose another raster.",
         )
-    return field
 
 
 def _placed_raster(
@@ -255,6 +259,8 @@ def _placed_raster(
     z = field.z[row[0] : row[-1] + 1, col[0] : col[-1] + 1].astype(np.float64)
     grid = Grid(grid.x[col[0]], grid.y[row[0]], g.posting, *z.shape)
     known = np.isfinite(z)
+    # A raster that is not north up has unknown corners, which are no gaps.
+    _check_gaps(settings, known | ~ndimage.binary_fill_holes(known))
     z -= _height_above_map(Heightfield(grid, z.astype(np.float32)), terrain, moon)
     width = settings.margin * 0.5 * min(settings.sizes[0], *(g.posting * n for n in z.shape))
     distance = ndimage.distance_transform_edt(np.pad(known, 1))[1:-1, 1:-1] - 1.0
@@ -341,16 +347,18 @@ class FarTerrain:
         beyond = np.hypot(*(flat_arc - edge).T)
         over = self.settings.margin * 0.5 * min(east - west, north - south)
         share = _smoothstep(beyond / over)
+        near = share > 0.0
+        height = self.terrain.elevation(edge[near])
+        if self.moon is not None:  # the map is flat: the sphere curves down below it
+            height = height + (edge[near] ** 2).sum(axis=1) / (2.0 * self.moon.radius)
+        # Around missing heights at the edge of the map, the levels continue up to the edge.
+        missing = np.isnan(height) & (beyond[near] > 0.0)
+        share[near] = np.where(missing, 0.0, share[near])
         z = np.zeros(len(flat_arc))
         outside = beyond > 0.0
         if outside.any():
             z[outside] = (1.0 - share[outside]) * self._sum_levels(flat_arc[outside])
-        near = share > 0.0
-        if near.any():
-            height = self.terrain.elevation(edge[near])
-            if self.moon is not None:  # the map is flat: the sphere curves down below it
-                height = height + (edge[near] ** 2).sum(axis=1) / (2.0 * self.moon.radius)
-            z[near] += share[near] * height
+        z[near] += share[near] * np.where(missing, 0.0, height)
         return z.reshape(xy.shape[:-1])
 
     def _sum_levels(self, arc: Array) -> Array:

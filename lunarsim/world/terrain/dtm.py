@@ -279,7 +279,7 @@ def load_around(
     Raises
     ------
     InputError
-        If the file is refused, has gaps, does not cover the map's origin, or if its coordinates
+        If the file is refused, does not cover the map's origin, or if its coordinates
         have no relation to those of the map.
     """
     around, crs = map_frame
@@ -301,11 +301,6 @@ def load_around(
         part = _window(_within(complete, half_side), source)
         frame = frame_of_window(source, part, None, around)
         heights = RasterHeights(source, HeightScale.of(source, unit), _values(nodata)).read(part)
-        if not np.isfinite(heights).all():
-            raise InputError(
-                "terrain.path", source.name, "must be a raster without gaps",
-                "Fill its gaps or choose another raster.",
-            )  # fmt: skip
         step = posting or frame.mean_posting
         z = _resampled(frame, heights, step, posting)
     rows, cols = z.shape
