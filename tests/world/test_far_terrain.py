@@ -269,7 +269,7 @@ def test_the_penumbra_of_a_cone_is_that_of_rays_over_the_disc():
 def test_shadows_on_a_round_moon_agree_with_the_horizon_of_each_point():
     light = {"azimuth": 0.012, "elevation": 4.6 * DEG, "diameter": 0.53 * DEG}
     cone = Cone(400.0, 40_000.0, 3_700.0, 12_000.0)
-    world = _world(MOON, cone=cone, side=120_000.0, posting=100.0, **light)
+    world = _world(MOON, cone=cone, side=120_000.0, posting=50.0, **light)
     far, sun = world.far_terrain, world.light
     points = np.array([[x, y, 0.0] for x in (-390.0, -100.0, 200.0, 390.0) for y in (-350.0, 350.0)])
     found = FarShadow.of(far, sun).sunlight(points)
@@ -281,7 +281,7 @@ def test_shadows_on_a_round_moon_agree_with_the_horizon_of_each_point():
         for p in points
     ]  # fmt: skip
     assert np.ptp(wanted) > 0.2
-    assert found == pytest.approx(np.array(wanted), abs=0.03)
+    assert found == pytest.approx(np.array(wanted), abs=0.04)
     # Without the curvature, the summit is 0.66 deg higher: all points are in full shadow.
-    flat = _world(None, cone=cone, side=120_000.0, posting=100.0, **light)
+    flat = _world(None, cone=cone, side=120_000.0, posting=50.0, **light)
     assert FarShadow.of(flat.far_terrain, sun).sunlight(points).max() == 0.0
