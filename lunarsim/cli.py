@@ -34,6 +34,7 @@ from lunarsim.cli_evaluate import evaluate
 from lunarsim.cli_export import export
 from lunarsim.cli_interface import interface
 from lunarsim.cli_scenario import parts, scenario
+from lunarsim.cli_site import site
 from lunarsim.cli_start import INTERRUPTED, run
 from lunarsim.cli_study import study
 from lunarsim.cli_terrain import terrain
@@ -63,8 +64,8 @@ def main() -> None:
 
 
 for _command in (
-    agent, campaign, sweep, replay, terrain, scenario, vehicle, parts, evaluate, study, interface,
-    export, view, film,
+    agent, campaign, sweep, replay, terrain, site, scenario, vehicle, parts, evaluate, study,
+    interface, export, view, film,
 ):  # fmt: skip
     main.add_command(_command)
 

@@ -40,9 +40,9 @@ class _ExportCommand(click.Command):
     "or .glb.",
 )  # fmt: skip
 @click.option(
-    "--epoch", default=DEFAULT_EPOCH, show_default=True, metavar="DATE",
-    help="Date and time (UTC) of the start of the flight, for oem, aem and mcap. Scenarios have "
-    "no date.",
+    "--epoch", default=None, metavar="DATE",
+    show_default=f"site.time of the scenario; without it {DEFAULT_EPOCH}",
+    help="Date and time (UTC) of the start of the flight, for oem, aem and mcap.",
 )  # fmt: skip
 @click.option(
     "--state", default="true", show_default=True, metavar="STATE",
@@ -50,13 +50,19 @@ class _ExportCommand(click.Command):
     "covariance.",
 )  # fmt: skip
 @click.option(
-    "--longitude", type=float, default=None, show_default="coordinates of the site frame",
+    "--longitude", type=float, default=None,
+    show_default="that of the scenario's [site]; without it, coordinates of the site frame",
     help="Longitude of the origin of the site frame (deg, positive east). OEM and AEM then have "
     "coordinates fixed to the Moon; the scenario needs a table [moon].",
 )  # fmt: skip
 @allow_options
 def export(
-    flight: Path, name: str, out: Path | None, epoch: str, state: str, longitude: float | None
+    flight: Path,
+    name: str,
+    out: Path | None,
+    epoch: str | None,
+    state: str,
+    longitude: float | None,
 ) -> None:
     """Write a saved flight in the format of other programs.
 

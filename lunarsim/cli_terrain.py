@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
 
 @click.group(cls=ErrorReportingGroup)
 def terrain() -> None:
-    """Describe, plot and export terrain."""
+    """Describe, import, plot and export terrain."""
 
 
 @terrain.command()
@@ -99,6 +101,79 @@ def _description(dtm_info: DtmInfo) -> Iterator[tuple[str, str]]:
         mean = f"{dtm_info.statistics.mean:.2f} m; loading subtracts {zero} from all heights"
         yield "mean elevation", mean
         yield "no data", f"{100.0 * dtm_info.no_data_share:.2f} %"
+
+
+class _Length(click.ParamType[float]):
+    """Length with a unit, such as 4km or 800m; m without a unit."""
+
+    name = "length"
+
+    def convert(self, value: Any, param: Any, ctx: click.Context | None) -> float:
+        """Return the length, m."""
+        found = re.fullmatch(r"\s*([\d.eE+-]+)\s*(m|km|)\s*", str(value))
+        try:
+            length = float(found[1]) * (1000.0 if found[2] == "km" else 1.0) if found else 0.0
+        except ValueError:
+            length = 0.0
+        if not (math.isfinite(length) and length > 0.0):
+            self.fail(f"must be a positive length such as 4km or 800m, got {value!r}.", param, ctx)
+        return length
+
+
+@terrain.command("import")
+@click.argument("file", type=PATH)
+@click.option(
+    "--at", type=float, nargs=2, metavar="LAT LON", default=None,
+    show_default="centre of the raster",
+    help="Centre: planetocentric latitude and longitude (deg).",
+)  # fmt: skip
+@click.option("--size", type=_Length(), required=True, help="Side of the square, such as 4km.")
+@click.option(
+    "--posting", type=_Length(), default=None, show_default="that of the raster",
+    help="Spacing of the heights. Required for a raster without georeferencing.",
+)  # fmt: skip
+@click.option(
+    "--fill-voids", type=click.IntRange(min=0), default=100, show_default=True,
+    help="Largest number of connected missing heights that are filled.",
+)  # fmt: skip
+@click.option("--unit", help="Unit of the heights: m, km, ft or us-ft.")
+@click.option(
+    "--nodata", type=float, multiple=True, help="Value that marks missing heights. Repeatable."
+)
+@click.option(
+    "--out", type=PATH, required=True,
+    help="Scenario file (.toml) to write, with a GeoTIFF of the same name beside it.",
+)  # fmt: skip
+def import_file(
+    file: Path, at: tuple[float, float] | None, size: float, posting: float | None,
+    fill_voids: int, unit: str | None, nodata: tuple[float, ...], out: Path,
+) -> None:  # fmt: skip
+    """Cut a landing area out of a terrain product FILE.
+
+    Reads only the part around the area, reprojects it, fills small voids, and writes a scenario
+    that flies over it.
+
+    \b
+    Example:
+      lunarsim terrain import ldem.tif --at -89.45 222.7 --size 4km --out ridge.toml
+    """  # noqa: D301  (click wants the character itself)
+    from rich.table import Table
+
+    from lunarsim.console import plain_console
+    from lunarsim.world.terrain.imported_scenario import area_description, write_scenario
+    from lunarsim.world.terrain.terrain_import import import_area
+
+    check_output("--out", out, ".toml")
+    area = import_area(
+        file, at, size, posting=posting, max_void=fill_voids, unit=unit, nodata=nodata or None
+    )
+    raster = write_scenario(area, file, out)
+    table = Table(show_header=False, box=None)
+    for name, value in area_description(area):
+        table.add_row(name, value)
+    table.add_row("written", f"{out}, {raster}")
+    table.add_row("next", f"lunarsim terrain preview {out} --out {out.with_suffix('.png')}")
+    plain_console().print(table)
 
 
 @terrain.command()

@@ -324,6 +324,15 @@ def direction_from_angles(azimuth: float, elevation: float) -> Array:
     return np.array([c * np.sin(azimuth), c * np.cos(azimuth), np.sin(elevation)])
 
 
+def enu_axes(latitude: float, longitude: float) -> Array:
+    """Return the unit vectors east, north and up of a place as columns (3, 3).
+
+    Latitude and longitude, rad, and the vectors are those of the frame that is fixed to the Moon.
+    """
+    (c, s), (cl, sl) = ((np.cos(angle), np.sin(angle)) for angle in (latitude, longitude))
+    return np.column_stack(((-sl, cl, 0.0), (-s * cl, -s * sl, c), (c * cl, c * sl, s)))
+
+
 def sensor_axes(boresight: ArrayLike) -> Array:
     """Return the matrix (3, 3), sensor to ENU, for a boresight direction in ENU (3,).
 

@@ -9,7 +9,7 @@ fresh draw of all of them once in 2,000 runs, if the program is right.
 from __future__ import annotations
 
 import pytest
-from scipy.stats import chi2
+from scipy.stats import binom, chi2
 
 # Of one assertion.
 CHANCE = 1e-5
@@ -29,6 +29,12 @@ def ratio_bounds(degrees: int, excess: float = 1.0) -> tuple[float, float]:
     """
     low, high = chi2.ppf([CHANCE, 1.0 - CHANCE], degrees) / degrees
     return float(low) / excess, float(high) * excess
+
+
+def proportion_bounds(probability: float, n: int) -> tuple[float, float]:
+    """Return bounds of the fraction of n independent trials that succeed."""
+    low, high = binom.ppf([CHANCE, 1.0 - CHANCE], n, probability) / n
+    return float(low), float(high)
 
 
 def sample_sizes(small: int, full: int) -> pytest.MarkDecorator:

@@ -19,6 +19,8 @@ from tests.worlds import SCENARIOS, TAKE_A_SCENARIO
 GOOD = str(SCENARIOS / "golombek.toml")
 SPEC = str(SCENARIOS / "campaigns" / "hard.toml")
 
+AT = ["--at", "0", "0", "--time", "2027-03-01T12:00Z"]
+
 # Of every command that takes a scenario: arguments, and what the line must hold.
 OF_A_SCENARIO = [
     (["gone.toml"], ["scenario", "gone.toml", "an existing TOML file"]),
@@ -255,6 +257,14 @@ OWN = {
         (["high.tif"], ["terrain.path: ", "got 'high.tif'", "which no known body has"]),
         (["empty.toml"], ["terrain.path: ", "got 'empty.toml'", "must be a raster"]),
     ],
+    "terrain import": [
+        (["gone.tif", "--size", "1km", "--out", "x.toml"], ["terrain.path: ", "got 'gone.tif'"]),
+        (["cut.tif", "--size", "100m", "--out", "x.toml"], ["terrain.path: ", "cannot be read"]),
+        (["cut.tif", "--size", "1 mile", "--out", "x.toml"], ["--size", "such as 4km or 800m"]),
+        (["cut.tif", "--size", "1km", "--out", "x.tif"], ["--out: ", "ends in .toml"]),
+        (["cut.tif", "--at", "95", "0", "--size", "1km", "--out", "x.toml"],
+         ["--at: ", "a latitude up to 90"]),
+    ],
     "terrain preview": [
         ([GOOD, "--out", "p.jpg"], ["--out: ", "got 'p.jpg'", ".png"]),
         ([GOOD, "--out", "none/p.png"], ["--out: ", "got 'none/p.png'", "existing folder"]),
@@ -301,6 +311,37 @@ OWN = {
          ["start.position_m[2]: ", "got 5.0", "above 11.6 m"]),
         (["wrong.toml", "--json", "new.json"], ["sun.elevation_deg: ", "got 95.0"]),
         ([], ["SCENARIO", "vehicle check --help"]),
+    ],
+    "site info": [
+        ([], ["SCENARIO: ", "is required, or --at and --time"]),
+        (["--at", "0", "0"], ["SCENARIO: ", "is required, or --at and --time"]),
+        (["--time", "2027-03-01T12:00Z"], ["SCENARIO: ", "is required, or --at and --time"]),
+        ([GOOD], ["site.time: ", "is required by this command", "[site]"]),
+        ([GOOD, "--at", "0", "0"], ["--at: ", "must be omitted with a scenario", "--set"]),
+        ([GOOD, "--time", "now"], ["--time: ", "must be omitted with a scenario"]),
+        ([*AT, "--set", "rocks.cover=0.1"], ["--set: ", "needs a scenario"]),
+        (["--at", "0", "0", "--time", "2027-03-01T12:00"], ["--time: ", "time zone", "Add Z"]),
+        (["--at", "0", "0", "--time", "1850-03-01T12:00Z"], ["--time: ", "from 1900 to 2100"]),
+        (["--at", "91", "0", "--time", "2027-03-01T12:00Z"],
+         ["--at: ", "must be between -90 and 90", "(91 deg)"]),
+        ([*AT, "--dtm", "gone.tif"], ["--dtm: ", "got 'gone.tif'", "an existing raster file"]),
+        ([*AT, "--dtm", "bands.tif"], ["--dtm: ", "got 'bands.tif'", "one band"]),
+        ([*AT, "--dtm", "whole.tif"], ["--dtm: ", "whole.tif", "must have a height at latitude 0"]),
+        ([*AT, "--dtm", "whole.tif", "--pixel", "1", "1"],
+         ["--pixel: ", "the raster is georeferenced"]),
+        ([*AT, "--posting", "5"], ["--posting: ", "got 5.0", "without --dtm"]),
+        ([*AT, "--pixel", "5", "5"], ["--pixel: ", "without --dtm"]),
+        ([*AT, "--nodata", "5"], ["--nodata: ", "without --dtm"]),
+        ([*AT, "--dtm", "steps.tif", "--posting", "9"], ["--dtm: ", "Give it with --nodata"]),
+        ([*AT, "--sun-elevation", "14", "5"], ["--sun-elevation: ", "two increasing angles"]),
+        ([*AT, "--days", "0.01"], ["--days: ", "got 0.01", "1 to 100000 times the step of 1 h"]),
+        (["--at", "0", "0", "--time", "2100-12-30T00:00Z"], ["--days: ", "end of 2100"]),
+        ([*AT, "--step", "0"], ["--step", "x<=24"]),
+        ([*AT, "--height", "-1"], ["--height", "x<=1000"]),
+        ([*AT, "--range", "nan"], ["--range", "nan"]),
+        ([*AT, "--out", "x.jpg"], ["--out: ", "got 'x.jpg'", ".png"]),
+        ([*AT, "--csv", "none/x.csv"], ["--csv: ", "existing folder"]),
+        ([*AT, "--json", "x.txt"], ["--json: ", "got 'x.txt'", ".json"]),
     ],
     "interface header": [
         (["law.h"], ["unexpected extra argument", "law.h"]),
@@ -380,6 +421,10 @@ def mistakes(tmp_path_factory):
     _raster(here / "high.tif", 1, 1e30)
     _raster(here / "whole.tif", 1)
     _raster(here / "cut.tif", 1)
+    with rasterio.open(
+        here / "steps.tif", "w", driver="GTiff", height=9, width=9, count=1, dtype="float32"
+    ) as file:
+        file.write(np.where(np.arange(81).reshape(1, 9, 9) < 9, 0.0, 900.0).astype("float32"))
     whole = (here / "cut.tif").read_bytes()
     (here / "cut.tif").write_bytes(whole[: len(whole) // 2])
     for name in ("bands", "high", "cut", "gone_dtm"):

@@ -123,5 +123,5 @@ TAKE_A_SCENARIO = {
     "render": ["--out", "new.png"], "sweep": ["--out", "new", "--over", "sun.elevation_deg=5,6"],
     "scenario check": [], "terrain preview": ["--out", "new.png"],
     "terrain export": ["--out", "new.tif"], "terrain truth": ["--out", "new.nc"],
-    "vehicle check": ["--json", "new.json"],
+    "vehicle check": ["--json", "new.json"], "site info": ["--json", "new.json"],
 }  # fmt: skip

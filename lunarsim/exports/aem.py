@@ -7,7 +7,7 @@ from pathlib import Path
 from lunarsim.atomic_files import atomic_write_text
 from lunarsim.exports import ccsds
 from lunarsim.exports.formats import ExportOptions
-from lunarsim.exports.frames_and_times import ExportFrame, dates, epoch_date
+from lunarsim.exports.frames_and_times import Epoch, ExportFrame, dates
 from lunarsim.exports.states import states_of
 from lunarsim.frames import normalised
 from lunarsim.simulation import Flight
@@ -21,10 +21,11 @@ def write_aem(flight: Flight, out: Path, options: ExportOptions) -> None:
     """
     frame = ExportFrame.of(flight, options.longitude)
     states = states_of(flight, options.state)
-    when = ccsds.date_texts(dates(epoch_date(options), states.time))
+    epoch = Epoch.of(flight, options)
+    when = ccsds.date_texts(dates(epoch.date, states.time))
     name = ccsds.object_name(flight)
     notes = [
-        *ccsds.comments(flight, frame, options),
+        *ccsds.comments(flight, frame, options.state, epoch),
         "COMMENT SC_BODY_1: z along the thrust, x forward, y left.",
         "COMMENT Frame A rotated by the quaternion has the axes of frame B.",
     ]

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import lunarsim
-from lunarsim.exports.formats import DEFAULT_EPOCH, ExportOptions
-from lunarsim.exports.frames_and_times import ExportFrame
+from lunarsim.exports.frames_and_times import Epoch, ExportFrame
 from lunarsim.simulation import Flight
 
 
@@ -31,15 +30,17 @@ def header(message: str, version: str) -> list[str]:
     ]
 
 
-def comments(flight: Flight, frame: ExportFrame, options: ExportOptions) -> list[str]:
-    """Return comments on state, frame, epoch and origin of the data."""
-    state = "True state" if options.state == "true" else "State estimated by navigation"
-    source = "default of the export" if options.epoch == DEFAULT_EPOCH else "given to the export"
+def comments(flight: Flight, frame: ExportFrame, state: str, epoch: Epoch) -> list[str]:
+    """Return comments on state, frame, epoch and origin of the data.
+
+    `state` is "true" or "estimate".
+    """
+    state = "True state" if state == "true" else "State estimated by navigation"
     seed = f"seed {flight.seed.get('entropy')}, flight {flight.seed.get('spawn_key')}"
     lines = (
         f"{state} of a simulated lander, centre of mass. Scenario {object_name(flight)}, {seed}.",
         *frame.comments,
-        f"The scenario has no date. The epoch of the start ({options.epoch}) is the {source}.",
+        epoch.comment,
     )
     return [f"COMMENT {line}" for line in lines]
 

@@ -15,7 +15,7 @@ from lunarsim.errors import InputError, check_folder, check_output, suggestion
 if TYPE_CHECKING:
     from lunarsim.simulation import Flight
 
-# Epoch of the start of a flight if none is given (J2000.0 as a date): scenarios have no date.
+# Epoch of the start of a flight if neither the user nor the scenario gives one (J2000.0).
 DEFAULT_EPOCH = "2000-01-01T12:00:00"
 _EPOCH = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(\.\d{1,9})?Z?")
 # Other years do not fit in the time stamps of MCAP.
@@ -56,13 +56,14 @@ class ExportOptions:
     Attributes
     ----------
     epoch
-        Date and time (UTC) of the start of the flight, ISO 8601.
+        Date and time (UTC) of the start of the flight, ISO 8601; None: the time of the scenario's
+        site, or `DEFAULT_EPOCH` without one.
     state
         Which state OEM and AEM contain: the true one, or the estimate of navigation.
     longitude
         Longitude of the origin of the site frame, deg, positive east. It is used in scenarios with
         a table [moon], which gives the latitude: OEM and AEM then use the frame that is fixed to
-        the Moon. None: the site frame.
+        the Moon. None: the longitude of the scenario's site, or the site frame without one.
 
     Raises
     ------
@@ -71,12 +72,12 @@ class ExportOptions:
         is not between -180 and 360 deg.
     """
 
-    epoch: str = DEFAULT_EPOCH
+    epoch: str | None = None
     state: Literal["true", "estimate"] = "true"
     longitude: float | None = None
 
     def __post_init__(self) -> None:
-        if not _is_epoch(self.epoch):
+        if self.epoch is not None and not _is_epoch(self.epoch):
             raise InputError(
                 "--epoch", self.epoch,
                 f"must be a date and time from {_FIRST_YEAR} to {_LAST_YEAR} such as "

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+import tomli_w
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.exports.formats import ExportOptions
-from lunarsim.frames import matrix_to_quat, quat_multiply
+from lunarsim.exports.formats import DEFAULT_EPOCH, ExportOptions
+from lunarsim.frames import enu_axes, matrix_to_quat, quat_multiply
 from lunarsim.models.gravity import RoundMoon
 from lunarsim.onboard.guidance.trajectory_files import SITE_FRAME_NAME
 from lunarsim.scenario import Scenario
@@ -28,9 +31,65 @@ SITE_FRAME_COMMENTS = (
 _MAX_TIME_S = 1e7
 
 
-def epoch_date(options: ExportOptions) -> np.datetime64:
-    """Return the epoch of the start of the flight as a date with nanoseconds."""
-    return np.datetime64(options.epoch.removesuffix("Z"), "ns")
+@dataclass(frozen=True)
+class Epoch:
+    """Epoch of the start of a flight.
+
+    Attributes
+    ----------
+    text
+        Date and time (UTC), ISO 8601.
+    comment
+        Sentences that state where the epoch comes from.
+    """
+
+    text: str
+    comment: str
+
+    @classmethod
+    def of(cls, flight: Flight, options: ExportOptions) -> Epoch:
+        """Return the given epoch, the time of the scenario's site, or a default.
+
+        Raises
+        ------
+        InputError
+            If the time of the site is outside the years of the exports.
+        """
+        place = _place(flight)
+        site = None if place is None or place.site is None else place.site.make()
+        dated = None if site is None or site.time is None else site
+        if options.epoch is not None or dated is None:
+            text = options.epoch or DEFAULT_EPOCH
+            source = "given to the export" if options.epoch else "the default of the export"
+            start = "" if dated else "The scenario has no date. "
+            return cls(text, f"{start}The epoch of the start ({text}) is {source}.")
+        text = str(np.datetime_as_string(dated.date))
+        try:
+            ExportOptions(text)
+        except InputError as error:
+            remedy = "Give another date with --epoch."
+            raise InputError("site.time", dated.time, error.problem, remedy) from None
+        return cls(text, f"The epoch of the start ({text}) is site.time of the scenario.")
+
+    @property
+    def date(self) -> np.datetime64:
+        """Epoch as a date with nanoseconds."""
+        return np.datetime64(self.text.removesuffix("Z"), "ns")
+
+
+def _place(flight: Flight) -> Scenario | None:
+    """Return a scenario with only [site] and [moon] of a flight; None without [site].
+
+    Other tables are not read, because they may name modules that this process does not allow.
+    """
+    try:
+        tables = tomllib.loads(flight.scenario)
+    except tomllib.TOMLDecodeError:  # a record from others
+        return None
+    if "site" not in tables:
+        return None
+    given: dict[str, Any] = {name: tables[name] for name in ("site", "moon") if name in tables}
+    return Scenario.world_from_toml(tomli_w.dumps(given))
 
 
 def dates(epoch: np.datetime64, time: Array) -> NDArray[np.datetime64]:
@@ -66,7 +125,10 @@ class ExportFrame:
 
     @classmethod
     def of(cls, flight: Flight, longitude_deg: float | None) -> ExportFrame:
-        """Return the frame for a longitude, deg; None: the site frame.
+        """Return the frame for a longitude, deg.
+
+        None: the longitude of the scenario's site if it also has a table [moon], otherwise the site
+        frame.
 
         Raises
         ------
@@ -74,7 +136,10 @@ class ExportFrame:
             If a longitude is given but the scenario has no table [moon].
         """
         if longitude_deg is None:
-            return cls()
+            place = _place(flight)
+            if place is None or place.site is None or place.moon is None:
+                return cls()
+            return cls(place.moon.make(), place.site.make().longitude)
         table = Scenario.world_from_toml(flight.scenario).moon
         if table is None:
             raise InputError(
@@ -106,11 +171,7 @@ class ExportFrame:
         """Matrix (3, 3) from the site frame to this frame."""
         if self.moon is None:
             return np.eye(3)
-        (c, s), (cl, sl) = (
-            (np.cos(angle), np.sin(angle)) for angle in (self.moon.latitude, self.longitude)
-        )
-        east, north, up = (-sl, cl, 0.0), (-s * cl, -s * sl, c), (c * cl, c * sl, s)
-        return np.column_stack((east, north, up))
+        return enu_axes(self.moon.latitude, self.longitude)
 
     def positions(self, positions: Array) -> Array:
         """Convert positions (n, 3), m, from the site frame to this frame."""

@@ -14,7 +14,7 @@ from lunarsim.atomic_files import atomic_write
 from lunarsim.errors import missing_package
 from lunarsim.exports.ccsds import object_name
 from lunarsim.exports.formats import ExportOptions
-from lunarsim.exports.frames_and_times import dates, epoch_date
+from lunarsim.exports.frames_and_times import Epoch, dates
 from lunarsim.exports.local_frame import scans_in_site_frame
 from lunarsim.exports.states import states_of
 from lunarsim.scenario import Scenario
@@ -40,7 +40,7 @@ def write_mcap(flight: Flight, out: Path, options: ExportOptions) -> None:
     ):  # fmt: skip
         if find_spec(module) is None:
             raise missing_package("--format", package, "mcap")
-    epoch = epoch_date(options)
+    epoch = Epoch.of(flight, options).date
 
     def write(part: Path) -> None:
         with part.open("wb") as file:

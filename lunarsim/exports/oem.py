@@ -10,7 +10,7 @@ import numpy as np
 from lunarsim.atomic_files import atomic_write_text
 from lunarsim.exports import ccsds
 from lunarsim.exports.formats import ExportOptions
-from lunarsim.exports.frames_and_times import ExportFrame, dates, epoch_date
+from lunarsim.exports.frames_and_times import Epoch, ExportFrame, dates
 from lunarsim.exports.states import states_of
 from lunarsim.simulation import Flight
 from lunarsim.typing import Array
@@ -27,7 +27,8 @@ def write_oem(flight: Flight, out: Path, options: ExportOptions) -> None:
     """
     frame = ExportFrame.of(flight, options.longitude)
     states = states_of(flight, options.state)
-    when = ccsds.date_texts(dates(epoch_date(options), states.time))
+    epoch = Epoch.of(flight, options)
+    when = ccsds.date_texts(dates(epoch.date, states.time))
     name = ccsds.object_name(flight)
     lines = ccsds.header("OEM", "2.0") + ccsds.metadata(
         (
@@ -35,7 +36,7 @@ def write_oem(flight: Flight, out: Path, options: ExportOptions) -> None:
             ("REF_FRAME", frame.name), ("TIME_SYSTEM", "UTC"), ("START_TIME", when[0]),
             ("STOP_TIME", when[-1]), ("INTERPOLATION", "HERMITE"), ("INTERPOLATION_DEGREE", "3"),
         ),
-        ccsds.comments(flight, frame, options),
+        ccsds.comments(flight, frame, options.state, epoch),
     )  # fmt: skip
     vectors = _KM * np.hstack((frame.positions(states.position), frame.vectors(states.velocity)))
     lines += [f"{date} {ccsds.numbers_text(row)}" for date, row in zip(when, vectors, strict=True)]

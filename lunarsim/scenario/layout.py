@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from lunarsim.models.gravity import RoundMoon
+from lunarsim.models.site import LandingSite
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.braking import Braking
 from lunarsim.onboard.policies.decisions import DecisionSettings
@@ -28,6 +29,7 @@ from lunarsim.vehicle.domain_randomization import DomainRandomization
 from lunarsim.vehicle.faults import Faults
 from lunarsim.vehicle.legs import Legs
 from lunarsim.vehicle.true_vehicle import Truth
+from lunarsim.world.dust import Dust
 from lunarsim.world.far_terrain import FarTerrainSettings
 from lunarsim.world.light import Light
 from lunarsim.world.survey import PriorMapSurvey
@@ -46,8 +48,10 @@ FIXED: dict[str, type] = {
 }
 # Optional tables, each with one class.
 OPTIONAL: dict[str, type] = {
+    "site": LandingSite,
     "moon": RoundMoon,
     "far_terrain": FarTerrainSettings,
+    "dust": Dust,
     "initial_uncertainty": InitialUncertainty,
     "prior_map": PriorMapSurvey,
     "faults": Faults,
@@ -92,8 +96,8 @@ NAMED: dict[str, tuple[str, dict[str, dict[str, Any]]]] = {
 }
 # Keys that define the world and the vehicle.
 WORLD_KEYS = (
-    "name", "description", "gravity_m_s2", "moon", "far_terrain", "terrain", "rocks", "sun",
-    "vehicle", "truth", "legs", "target",
+    "name", "description", "gravity_m_s2", "site", "moon", "far_terrain", "dust", "terrain",
+    "rocks", "sun", "vehicle", "truth", "legs", "target",
 )  # fmt: skip
 # Tables of earlier versions, and the tables that replace them.
 MOVED_TABLES: dict[str, str] = {

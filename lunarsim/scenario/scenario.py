@@ -28,6 +28,7 @@ from lunarsim.scenario.checks import check
 from lunarsim.scenario.errors import input_error, key_hint, unknown_key_error
 from lunarsim.scenario.files import parsed_toml, read_toml
 from lunarsim.scenario.resource_estimate import check_memory
+from lunarsim.scenario.site_values import with_site_values, without_site_values
 from lunarsim.sensors.catalogue import complete_table, with_unit_values
 
 if TYPE_CHECKING:
@@ -77,8 +78,10 @@ class Scenario:
     name: str
     description: str
     gravity_m_s2: float
+    site: tables.SiteTable | None
     moon: tables.MoonTable | None
     far_terrain: tables.FarTerrainTable | None
+    dust: tables.DustTable | None
     terrain: tables.TerrainTable
     rocks: tables.RocksTable
     sun: tables.SunTable
@@ -163,6 +166,9 @@ class Scenario:
         }
         if not values["name"]:
             raise InputError("name", "", "must not be empty")
+        if "site" in data:
+            site = _table("site", layout.OPTIONAL["site"], data["site"], folder)
+            data = with_site_values(data, site.make())
         for key, part_class in layout.FIXED.items():
             values[key] = _table(key, part_class, data.get(key, {}), folder)
         for key, part_class in layout.OPTIONAL.items():
@@ -249,7 +255,9 @@ class Scenario:
             Changes by table, for example ``changed(sun={"elevation_deg": 5.0})``. A part of another
             `kind` starts from its own defaults. None removes a named part or an optional table.
             If navigation has its default value, the default is determined again for the changed
-            sensors and mappers.
+            sensors and mappers. Values that follow from the site are found again. A change of
+            its date replaces the directions of Sun and Earth; a change of a direction removes the
+            date.
 
         Raises
         ------
@@ -268,6 +276,8 @@ class Scenario:
             "navigation", "navigation", left_out, None, None
         ):
             del data["navigation"]
+        site = None if self.site is None else self.site.make()
+        data = without_site_values(data, site, changes)
         for key, change in changes.items():
             data[key] = _merged(key, data.get(key), change)
             if data[key] is None and hasattr(self, key):

@@ -15,6 +15,7 @@ from lunarsim.onboard.guidance.rotation import tilt_torque
 from lunarsim.onboard.hazards.mapper import sensor_names
 from lunarsim.parts import PartSettings, kinds
 from lunarsim.scenario.scenario import Scenario
+from lunarsim.scenario.site_values import sun_values
 from lunarsim.vehicle.true_vehicle import VehicleDeviations
 
 # Plausible radius of gyration over the radius of the leg circle. A solid sphere has 0.63, a thin
@@ -204,7 +205,8 @@ def _randomization_warnings(scenario: Scenario) -> Iterator[str]:
 
 def _unused_key_warnings(scenario: Scenario) -> Iterator[str]:
     if not any(_may_need_sunlight(p.kind, p.make()) for p in scenario.sensors.values()):
-        yield from _unused_keys("sun", scenario.sun, "no sensor depends on sunlight")
+        given = () if scenario.site is None else tuple(sun_values(scenario.site.make()))
+        yield from _unused_keys("sun", scenario.sun, "no sensor depends on sunlight", ignored=given)
     if scenario.terrain.kind == "hazard-field":
         yield from _unused_keys(
             "rocks", scenario.rocks, "terrain 'hazard-field' has its own boulders"

@@ -185,6 +185,16 @@ class SimulationChanges(TypedDict, total=False):
     max_time_s: float
     step_s: float
 
+class SiteTable(PartSettings):
+    latitude_deg: float
+    longitude_deg: float
+    time: str | None
+
+class SiteChanges(TypedDict, total=False):
+    latitude_deg: float
+    longitude_deg: float
+    time: str | None
+
 class MoonTable(PartSettings):
     latitude_deg: float
     radius_m: float
@@ -216,6 +226,26 @@ class FarTerrainChanges(TypedDict, total=False):
     postings_m: tuple[float, ...]
     rms_slopes_deg: tuple[float, ...]
     sizes_m: tuple[float, ...]
+
+class DustTable(PartSettings):
+    brightness: float
+    core_radius_m: float
+    ejection_angle_deg: float
+    false_return_fraction: float
+    onset_height_m: float
+    onset_thrust_n: float
+    optical_depth: float
+    radar_ratio: float
+
+class DustChanges(TypedDict, total=False):
+    brightness: float
+    core_radius_m: float
+    ejection_angle_deg: float
+    false_return_fraction: float
+    onset_height_m: float
+    onset_thrust_n: float
+    optical_depth: float
+    radar_ratio: float
 
 class InitialUncertaintyTable(PartSettings):
     attitude_deg: float
@@ -1027,8 +1057,10 @@ class FlightChanges(TypedDict, total=False):
     approach: ApproachChanges
     decisions: DecisionsChanges
     simulation: SimulationChanges
+    site: SiteChanges | None
     moon: MoonChanges | None
     far_terrain: FarTerrainChanges | None
+    dust: DustChanges | None
     initial_uncertainty: InitialUncertaintyChanges | None
     prior_map: PriorMapChanges | None
     faults: FaultsChanges | None

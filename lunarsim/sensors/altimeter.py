@@ -72,7 +72,12 @@ class RadarAltimeter:
         beam = quat_rotate(state.attitude, self.boresight)
         hit = world.cast(state.position, beam[None, :], self.max_range)
         incidence = np.arccos(np.clip(-hit.normal[0] @ beam, -1.0, 1.0))
-        if not incidence <= self.max_incidence:  # NaN without a hit
+        is_seen = incidence <= self.max_incidence  # NaN without a hit
+        sheet = world.dust_sheet(state.position, state.attitude, state.thrust)
+        if sheet is not None:
+            ratio = sheet.settings.radar_ratio
+            is_seen &= sheet.passes(state.position, beam[None, :], ratio, rng)[0]
+        if not is_seen:
             return AltimeterReading(time, np.nan, np.nan)
         distance = float(hit.range[0])
         sigma = float(np.hypot(self.noise_floor, self.noise_ratio * distance))

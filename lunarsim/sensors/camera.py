@@ -240,7 +240,9 @@ class Camera(CameraModel):
                 full.position, full.axes, full.fx, full.fy, full.cx, full.cy - first,
                 full.width, last - first,
             )  # fmt: skip
-            images.append(_supersample(world, band, self.antialias))
+            image = _supersample(world, band, self.antialias)
+            sheet = world.dust_sheet(then.position, then.attitude, then.thrust)
+            images.append(image if sheet is None else sheet.veil(band, world.light, image))
         return images[0] if len(images) == 1 else np.concatenate(images)
 
     def _bands(self, world: World, state: State, view: View) -> list[tuple[int, int, State]]:

@@ -279,7 +279,12 @@ class FlashLidar:
         direction = self.directions()
         rotation = quat_to_matrix(state.attitude) @ mount
         origin = np.asarray(state.position, dtype=np.float64)
-        measured, sigma = self._sense(world, origin, direction @ rotation.T, rng)
+        rays = direction @ rotation.T
+        measured, sigma = self._sense(world, origin, rays, rng)
+        sheet = world.dust_sheet(origin, state.attitude, state.thrust)
+        if sheet is not None:
+            measured = sheet.ranges(origin, rays, measured, rng)
+            sigma = self.stated_sigma(measured)
         measured = self._digitize(measured + bias)
         shape = (self.rows, self.cols)
         return LidarScan(time, measured, direction, mount, sigma, shape)

@@ -113,6 +113,9 @@ class DopplerVelocimeter:
         hit = world.cast(state.position, beams, self.max_range)
         incidence = np.arccos(np.clip(-np.einsum("ni,ni->n", hit.normal, beams), -1.0, 1.0))
         seen = incidence <= self.max_incidence  # NaN without a hit
+        sheet = world.dust_sheet(state.position, state.attitude, state.thrust)
+        if sheet is not None:
+            seen &= sheet.passes(state.position, beams, 1.0, rng)
         speed = beams @ state.velocity + self.speed_noise * noise[0]
         distance = hit.range + self.range_noise * noise[1]
         return DopplerReading(

@@ -45,7 +45,8 @@ def build_world(
         frame = getattr(scenario.terrain.make(), "frame", None)
         map_frame = None if frame is None else frame()
         about = scenario.far_terrain.make().build(terrain, moon, streams, map_frame)
-    return World(terrain, scenario.gravity_m_s2, light, moon, about)
+    dust = None if scenario.dust is None else scenario.dust.make()
+    return World(terrain, scenario.gravity_m_s2, light, moon, about, dust)
 
 
 def rebuild_world(flight: Flight) -> World:

@@ -14,7 +14,7 @@ def raise_to_terrain(angle, reach, heights, distances, observer, radius):
 
     `angle` (n,), rad, is raised in place where a height is seen at a larger angle, and `reach`
     (n,), m, becomes the arc length to the last known height. `heights` (n, m), m, are above a
-    sphere of `radius`, m, at arc lengths `distances` (m,), m, from the observer, which has the height
+    sphere of `radius`, m, at arc lengths `distances` (m,), m, from the observer, whose height is
     `observer`, m. NaN is an unknown height.
     """
     for i in range(heights.shape[0]):

@@ -22,8 +22,8 @@ from lunarsim.world.terrain import Heightfield
 HeightFunction = Callable[[Array], Array]
 # Number of azimuths of a horizon: half the diameter of the Sun, 0.25 deg, apart.
 AZIMUTHS = 1440
-# Distance between samples over distance from the observer. On a slope of 30 deg, a summit between two
-# samples is missed by at most 0.5 * tan(30 deg) of it, 0.017 deg.
+# Distance between samples over distance from the observer. On a slope of 30 deg, a summit between
+# two samples is missed by at most 0.5 * tan(30 deg) of it, 0.017 deg.
 _STEP_RATIO = 1e-3
 # Azimuths that are sampled together, to limit memory.
 _AZIMUTHS_PER_BLOCK = 48
@@ -72,6 +72,12 @@ class Horizon:
         edge = self.elevation_at(az + radius * across / np.maximum(np.cos(el), 1e-6))
         lit = np.clip(0.5 + 0.5 * (el - edge) / half, 0.0, 1.0)
         return np.asarray((lit * half).sum(-1) / half.sum(-1))
+
+
+def smooth_horizon(height: float, radius: float) -> Horizon:
+    """Return the horizon of a smooth sphere of a radius, m, from a height above it, m."""
+    dip = float(np.arccos(radius / (radius + height)))
+    return Horizon(np.full(AZIMUTHS, -dip), np.zeros(AZIMUTHS))
 
 
 def terrain_horizon(

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from lunarsim.models.gravity import CentralGravity
 from lunarsim.typing import Array
+from lunarsim.world.dust import Dust, DustSheet
 from lunarsim.world.far_terrain import FarTerrain
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import RayHits, Terrain
@@ -34,6 +35,8 @@ class World:
         Terrain beyond the map; None: rays that leave the map hit nothing.
     light
         Sun, Earth and photometry of the terrain; cameras and star trackers depend on it.
+    dust
+        Dust that the engine lifts; None: none.
     """
 
     terrain: Terrain
@@ -41,6 +44,13 @@ class World:
     light: Light = field(default_factory=Light)
     moon: CentralGravity | None = None
     far_terrain: FarTerrain | None = None
+    dust: Dust | None = None
+
+    def dust_sheet(self, position: Array, attitude: Array, thrust: float) -> DustSheet | None:
+        """Return the dust under the engine; None if there is none (`Dust.sheet`)."""
+        if self.dust is None:
+            return None
+        return self.dust.sheet(self.terrain, position, attitude, thrust)
 
     def cast(
         self,

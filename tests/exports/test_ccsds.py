@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -236,3 +237,50 @@ def test_a_hostile_name_stays_on_its_line(flight, tmp_path):
     )
     path = export_flight(replace(flight, scenario=scenario), "oem", tmp_path / "a.oem")
     assert read_oem(path)[3].metadata["OBJECT_NAME"] == "x_META_STOP___"
+
+
+SITE = '\n[site]\nlatitude_deg = 20.0\nlongitude_deg = 330.0\ntime = "2027-03-01T10:20:30.25Z"\n'
+
+
+def _dated(flight, *, has_moon, site=SITE):
+    """Return a flight whose scenario has a site."""
+    # The recorded directions of the Sun would contradict the date.
+    keep = re.sub(r"(?m)^(earth_)?(azimuth|elevation)_deg = .*\n", "", flight.scenario)
+    moon = f"\n[moon]\nradius_m = {MOON}\n" if has_moon else ""
+    return replace(flight, scenario=keep + site + moon)
+
+
+def test_the_date_of_the_site_is_the_default_epoch(flight, tmp_path):
+    path = export_flight(_dated(flight, has_moon=False), "oem", tmp_path / "a.oem")
+    segment = read_oem(path)[3]
+    assert segment.metadata["START_TIME"].isot == "2027-03-01T10:20:30.250000"
+    assert segment.metadata["REF_FRAME"] == "LUNARSIM_SITE_ENU"
+    assert "is site.time of the scenario" in path.read_text()
+    assert "no date" not in path.read_text()
+    options = ExportOptions(epoch="2030-01-01T00:00:00")
+    path = export_flight(_dated(flight, has_moon=False), "oem", tmp_path / "b.oem", options)
+    assert read_oem(path)[3].metadata["START_TIME"].isot == "2030-01-01T00:00:00.000000"
+    assert "given to the export" in path.read_text()
+
+
+def test_the_place_of_the_site_is_the_default_longitude(flight, tmp_path):
+    dated = _dated(flight, has_moon=True)
+    for suffix in ("oem", "aem"):
+        path = export_flight(dated, suffix, tmp_path / f"a.{suffix}")
+        options = ExportOptions(epoch="2027-03-01T10:20:30.250000", longitude=330.0)
+        other = export_flight(with_moon(flight), suffix, tmp_path / f"b.{suffix}", options)
+        numbers = [
+            [line for line in one.read_text().splitlines() if line.startswith("2027")]
+            for one in (path, other)
+        ]
+        assert numbers[0] == numbers[1]
+        assert len(numbers[0]) > 10
+        assert "MOON_ME" in path.read_text()
+
+
+def test_a_date_before_the_years_of_exports_needs_an_epoch(flight, tmp_path):
+    old = SITE.replace("2027", "1969")
+    dated = _dated(flight, has_moon=False, site=old)
+    with pytest.raises(InputError, match=r"site\.time: .*from 1971.*got '1969.*--epoch"):
+        export_flight(dated, "oem", tmp_path / "a.oem")
+    export_flight(dated, "oem", tmp_path / "a.oem", ExportOptions(epoch="1971-07-30T00:00:00"))

@@ -91,6 +91,7 @@ class VehicleParams:
             raise InputError("vehicle.kind", "jet-lander", "must be 'lander' in this environment")
         for table, remedy in (
             ("legs", ""), ("faults", FAULTS_REMEDY), ("sensor_faults", FAULTS_REMEDY), ("moon", ""),
+            ("dust", ""),
         ):  # fmt: skip
             if getattr(scenario, table) not in (None, {}):
                 raise InputError(

@@ -152,7 +152,9 @@ class CorrectedScan:
         scan = self.scan
         if np.any(error[6:10]):
             boresight = quat_to_matrix(quat_from_rotation_vector(error[7:10]))
-            scan = replace(scan, range=scan.range + error[6], mount=scan.mount @ boresight)
+            corrected = scan.range + error[6]
+            corrected[corrected <= 0.0] = np.nan  # a false return close to the sensor
+            scan = replace(scan, range=corrected, mount=scan.mount @ boresight)
         position = self.position + error[:3] - latency * self.velocity
         return replace(self, scan=scan, position=position, attitude=attitude)
 

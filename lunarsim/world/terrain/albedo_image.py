@@ -21,8 +21,9 @@ from lunarsim.world.terrain.raster_file import open_raster
 from lunarsim.world.terrain.raster_frame import Frame, frame_of_window, is_placed
 from lunarsim.world.terrain.raster_heights import HeightScale, RasterHeights
 
-# Maximum number of cells of a map per side; a finer image is averaged.
-_MAX_CELLS_PER_SIDE = 4096
+# Number of cells of a map along its longer side. A finer image is averaged, a coarser one
+# interpolated.
+_MIN_CELLS, _MAX_CELLS = 64, 4096
 # Minimum relative albedo: an image's shadows must not become surfaces that reflect no light.
 _MIN_ALBEDO = 0.02
 # Points per side at which map coordinates are computed; a spline interpolates between them.
@@ -72,9 +73,9 @@ def load_albedo_map(path: Path, posting: float | None, terrain: Placement) -> Al
     """
     try:
         with open_raster(path) as image:
-            around = _placed(image, posting, terrain)
+            origin = _origin(image, posting, terrain)
             full = Window(0, 0, image.width, image.height)
-            frame = frame_of_window(image, full, posting, around)
+            frame = frame_of_window(image, full, posting, origin)
             grid = _grid(terrain.complete, frame.mean_posting)
             x = _folded(grid.x, *terrain.measured[:2])
             y = _folded(grid.y, *terrain.measured[2:])
@@ -88,8 +89,12 @@ def load_albedo_map(path: Path, posting: float | None, terrain: Placement) -> Al
     return AlbedoMap(grid, _relative(path, values))
 
 
-def _placed(image: DatasetReader, posting: float | None, terrain: Placement) -> Frame | None:
-    """Return the frame around whose origin an image is placed; None: its own centre.
+def _origin(
+    image: DatasetReader, posting: float | None, terrain: Placement
+) -> tuple[float, float] | None:
+    """Return the origin of the terrain's frame, for an image that is placed by it.
+
+    None: the centre of the image lies at the origin.
 
     InputError unless exactly one of georeferencing and `posting` (m) places it.
     """
@@ -105,7 +110,7 @@ def _placed(image: DatasetReader, posting: float | None, terrain: Placement) -> 
         raise InputError(
             "terrain.path", image.name, "must have the local coordinate reference of the terrain"
         )
-    return terrain.frame
+    return terrain.frame.origin
 
 
 def _is_on_body(crs: Any) -> bool:
@@ -114,9 +119,10 @@ def _is_on_body(crs: Any) -> bool:
 
 
 def _grid(bounds: Bounds, pixel: float) -> Grid:
-    """Return a grid over bounds with cells of a pixel's size (m), or larger."""
+    """Return a grid over bounds with cells of about a pixel's size (m)."""
     west, east, south, north = bounds
-    posting = max(pixel, max(east - west, north - south) / (_MAX_CELLS_PER_SIDE - 2))
+    side = max(east - west, north - south)
+    posting = float(np.clip(pixel, side / (_MAX_CELLS - 2), side / _MIN_CELLS))
     rows, cols = (int(np.ceil(side / posting)) + 1 for side in (north - south, east - west))
     return Grid(west, south, posting, rows, cols)
 

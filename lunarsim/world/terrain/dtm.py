@@ -6,7 +6,7 @@ The formats and rules are described in docs/howto/terrain-files.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,7 +33,7 @@ from lunarsim.world.terrain.spline import GappySpline
 _ROWS_PER_BLOCK = 256
 # Posts by which a raster is extended before spline interpolation. The spline assumes zero slope at
 # its edges; the resulting error falls to a quarter from post to post.
-_SPLINE_MARGIN = 12
+SPLINE_MARGIN = 12
 # Larger rasters are described without reading their heights.
 _MAX_POSTS_DESCRIBED = 20_000_000
 
@@ -251,10 +251,86 @@ def read_frame(
         return frame, source.crs if is_placed(source) else None
 
 
-def load_around(
+def load_surroundings(
+    path: str | Path, latitude_deg: float, longitude_deg: float, *, max_range: float,
+    posting: float | None = None, pixel: tuple[float, float] | None = None,
+    nodata: Sequence[float] | None = None,
+) -> Heightfield:  # fmt: skip
+    """Load the terrain around a place into an azimuthal equidistant frame about it.
+
+    Parameters
+    ----------
+    path
+        Raster with one band, or its label, as for `load_terrain`.
+    latitude_deg, longitude_deg
+        Place that becomes the origin, deg, positive north and east.
+    max_range
+        Half the side of the terrain, m, if the raster is larger.
+    posting
+        Grid spacing, m. Required for a file without a coordinate reference system; otherwise the
+        spacing of the result (omitted: the mean spacing of the file at the place).
+    pixel
+        Row and column of the place, counted from 0, in a file without georeferencing; None: its
+        centre.
+    nodata
+        Values that mean "no height", as for `load_terrain`.
+
+    Returns
+    -------
+    Heightfield
+        Elevations above their mean, m; NaN outside the raster.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, is refused or has no heights, or if the place lies outside.
+    """
+    with open_raster(Path(path)) as source:
+        if not is_placed(source):
+            return _shifted(
+                source, load_terrain(path, posting=posting, nodata=nodata), posting, pixel
+            )
+        if pixel is not None:
+            raise InputError(
+                "pixel", list(pixel), "must be omitted, because the raster is georeferenced"
+            )
+        origin = latitude_deg, longitude_deg
+        outside = _no_height(path, latitude_deg, longitude_deg)
+        return _around_origin(source, origin, max_range, (posting, None, nodata), outside)
+
+
+def _around_origin(
+    source: DatasetReader, origin: tuple[float, float], max_range: float,
+    options: tuple[float | None, str | None, float | Sequence[float] | None],
+    outside: InputError,
+) -> Heightfield:  # fmt: skip
+    """Load the square around a point of a georeferenced raster into a frame about it.
+
+    `origin` is the origin of the frame as for `frame_of_window`, and `max_range` half the side of
+    the square, m. `options` are the grid spacing, m, the unit and the values that mean "no height".
+    `outside` is raised if the raster has no height at the origin.
+    """
+    posting, unit, nodata = options
+    complete = frame_of_window(source, _window(None, source), None, origin)
+    col, row = (v[0] for v in complete.pixels(np.zeros(1), np.zeros(1)))
+    if not (0.0 <= col <= complete.cols and 0.0 <= row <= complete.rows):
+        raise outside
+    part = _window(window_around(complete, max_range), source)
+    frame = frame_of_window(source, part, None, origin)
+    heights = RasterHeights(source, HeightScale.of(source, unit), _values(nodata))
+    step = posting or frame.mean_posting
+    z = _resampled(frame, heights.read(part), step, posting)
+    rows, cols = z.shape
+    if not np.isfinite(z[rows // 2, cols // 2]):
+        raise outside
+    grid = Grid(-0.5 * (cols - 1) * step, -0.5 * (rows - 1) * step, step, rows, cols)
+    return Heightfield(grid, (z - np.nanmean(z)).astype(np.float32))
+
+
+def load_around_map(
     path: Path,
     map_frame: tuple[Frame, CRS],
-    half_side: float,
+    max_range: float,
     *,
     posting: float | None = None,
     unit: str | None = None,
@@ -268,7 +344,7 @@ def load_around(
         Raster, as for `load_terrain`.
     map_frame
         Local frame and coordinate reference system of the map.
-    half_side
+    max_range
         Half the side of the square around the map's origin to load, m.
 
     Returns
@@ -279,10 +355,10 @@ def load_around(
     Raises
     ------
     InputError
-        If the file is refused, does not cover the map's origin, or if its coordinates
-        have no relation to those of the map.
+        If the file is refused or does not cover the map's origin, or if its coordinates have no
+        relation to those of the map.
     """
-    around, crs = map_frame
+    frame, crs = map_frame
     with open_raster(path) as source:
         both = source.crs, crs
         if source.crs != crs and not all(c.is_geographic or c.is_projected for c in both):
@@ -290,34 +366,57 @@ def load_around(
                 "terrain.path", source.name, "must have the local coordinate reference of the map",
                 "Give terrain.centre_m.",
             )  # fmt: skip
-        complete = frame_of_window(source, _window(None, source), None, around)
-        col, row = (float(v[0]) for v in complete.pixels(np.zeros(1), np.zeros(1)))
-        if not (1.0 <= col <= complete.cols - 1.0 and 1.0 <= row <= complete.rows - 1.0):
-            raise InputError(
-                "terrain.path", source.name,
-                "must cover the origin of the map by its coordinate reference",
-                "Choose another raster, or give terrain.centre_m, for instance [0, 0].",
-            )  # fmt: skip
-        part = _window(_within(complete, half_side), source)
-        frame = frame_of_window(source, part, None, around)
-        heights = RasterHeights(source, HeightScale.of(source, unit), _values(nodata)).read(part)
-        step = posting or frame.mean_posting
-        z = _resampled(frame, heights, step, posting)
-    rows, cols = z.shape
-    grid = Grid(-0.5 * (cols - 1) * step, -0.5 * (rows - 1) * step, step, rows, cols)
-    return Heightfield(grid, (z - np.nanmean(z)).astype(np.float32))
+        outside = InputError(
+            "terrain.path", source.name,
+            "must cover the origin of the map by its coordinate reference",
+            "Choose another raster, or give terrain.centre_m, for instance [0, 0].",
+        )  # fmt: skip
+        return _around_origin(source, frame.origin, max_range, (posting, unit, nodata), outside)
 
 
-def _within(frame: Frame, half_side: float) -> tuple[int, int, int, int]:
-    """Return the window of a raster that contains a square around the origin of its frame.
+def _no_height(path: str | Path, latitude_deg: float, longitude_deg: float) -> InputError:
+    return InputError(
+        "terrain.path", str(path),
+        f"must have a height at latitude {latitude_deg:g} and longitude {longitude_deg:g} deg",
+    )  # fmt: skip
 
-    The window is first and last row, first and last column; `half_side` is in m.
+
+def _shifted(
+    source: DatasetReader, field: Heightfield, posting: float | None,
+    pixel: tuple[float, float] | None,
+) -> Heightfield:  # fmt: skip
+    """Return the terrain of a file without georeferencing with a pixel as its origin."""
+    if pixel is None:
+        return field
+    row, col = pixel
+    if not (0 <= row <= source.height - 1 and 0 <= col <= source.width - 1):
+        raise InputError(
+            "pixel", list(pixel),
+            f"must be a row up to {source.height - 1} and a column up to {source.width - 1}",
+        )  # fmt: skip
+    frame = frame_of_window(source, _window(None, source), posting)
+    east, north = (float(v) for v in frame.local(col + 0.5, row + 0.5))
+    return Heightfield(
+        replace(field.grid, x0=field.grid.x0 - east, y0=field.grid.y0 - north), field.z
+    )
+
+
+def window_around(
+    frame: Frame, max_range: float, margin: int = 1, *, beyond_columns: bool = False
+) -> tuple[int, int, int, int]:
+    """Return the window of a raster within a range, m, of the origin of its frame.
+
+    The window is first and last row, first and last column, with a margin in posts. If
+    `beyond_columns`, it may begin before the first column and end after the last.
     """
-    side = np.linspace(-half_side, half_side, 65)
+    side = np.linspace(-max_range, max_range, 65)
     east, north = (v.ravel() for v in np.meshgrid(side, side))
     col, row = (v[np.isfinite(v)] for v in frame.pixels(east, north))
-    left, right = (int(v) for v in np.clip([col.min() - 1, col.max() + 2], 0, frame.cols))
-    top, bottom = (int(v) for v in np.clip([row.min() - 1, row.max() + 2], 0, frame.rows))
+    more = np.array([-margin, margin + 1])
+    left, right = (int(v) for v in np.floor([col.min(), col.max()]) + more)
+    top, bottom = (int(v) for v in np.clip(np.floor([row.min(), row.max()]) + more, 0, frame.rows))
+    if not beyond_columns:
+        left, right = (int(v) for v in np.clip([left, right], 0, frame.cols))
     return top, bottom, left, right
 
 
@@ -401,20 +500,38 @@ def _resampled(frame: Frame, z: Array, step: float, posting: float | None) -> Ar
             step,
             "must be smaller, because the raster must have at least 2 x 2 points",
         )
+    east = np.asarray((np.arange(cols) - 0.5 * (cols - 1)) * step)
+    north = np.asarray((np.arange(rows) - 0.5 * (rows - 1)) * step)
+    return interpolated(frame, z, east, north)
+
+
+def interpolated(frame: Frame, z: Array, east: Array, north: Array) -> Array:
+    """Interpolate heights of a raster by cubic spline, at a grid in its frame.
+
+    Parameters
+    ----------
+    frame, z
+        Frame of the raster, and its heights (rows, cols), m, in the order of the file.
+    east, north
+        Coordinates (cols,) and (rows,) of the grid, m.
+
+    Returns
+    -------
+    Array
+        Heights (rows, cols), m; NaN outside the raster and next to missing heights.
+    """
     last_row, last_col = z.shape[0] - 1.0, z.shape[1] - 1.0
-    spline = GappySpline(np.pad(z, _SPLINE_MARGIN, constant_values=np.nan), extrapolate_slopes=True)
-    out = np.empty((rows, cols))
-    east = (np.arange(cols) - 0.5 * (cols - 1)) * step
-    north = (np.arange(rows) - 0.5 * (rows - 1)) * step
-    for top in range(0, rows, _ROWS_PER_BLOCK):
+    spline = GappySpline(np.pad(z, SPLINE_MARGIN, constant_values=np.nan), extrapolate_slopes=True)
+    out = np.empty((len(north), len(east)))
+    for top in range(0, len(north), _ROWS_PER_BLOCK):
         at = np.meshgrid(east, north[top : top + _ROWS_PER_BLOCK])
         col, row = frame.pixels(*at)
         col, row = col - 0.5, row - 0.5
         # Tolerance, so that rounding does not exclude the outermost posts.
         inside = np.abs(2.0 * col - last_col) <= last_col + 1e-6
         inside &= np.abs(2.0 * row - last_row) <= last_row + 1e-6
-        col = np.where(inside, np.clip(col, 0.0, last_col), 0.0) + _SPLINE_MARGIN
-        row = np.where(inside, np.clip(row, 0.0, last_row), 0.0) + _SPLINE_MARGIN
+        col = np.where(inside, np.clip(col, 0.0, last_col), 0.0) + SPLINE_MARGIN
+        row = np.where(inside, np.clip(row, 0.0, last_row), 0.0) + SPLINE_MARGIN
         block = spline(row, col)
         block[~inside | spline.is_gap(row, col)] = np.nan
         out[top : top + _ROWS_PER_BLOCK] = block

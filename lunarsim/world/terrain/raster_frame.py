@@ -52,7 +52,7 @@ class Frame:
     metres_per_map_unit
         Length of a map unit as stated by the file, m; None in degrees.
     origin
-        Longitude and latitude, deg, or map coordinates of a plane map, of the frame's origin.
+        Latitude and longitude, deg, or map coordinates of a plane map, of the frame's origin.
     """
 
     description: str
@@ -159,7 +159,10 @@ class Orientation:
 
 
 def frame_of_window(
-    source: DatasetReader, window: Window, posting: float | None, around: Frame | None = None
+    source: DatasetReader,
+    window: Window,
+    posting: float | None,
+    origin: tuple[float, float] | None = None,
 ) -> Frame:
     """Return the local frame of a window of a raster.
 
@@ -171,8 +174,9 @@ def frame_of_window(
         Rows and columns to use.
     posting
         Grid spacing, m, of a file without a coordinate reference system.
-    around
-        Frame of another raster, whose origin is used; omitted: the centre of the window.
+    origin
+        Latitude and longitude, deg, of the origin of the frame (map coordinates for a plane map);
+        None: the centre of the window.
 
     Raises
     ------
@@ -188,7 +192,7 @@ def frame_of_window(
         raise _refusal(source, "has an affine transform that is singular or not finite")
     cols, rows = int(window.width), int(window.height)
     metres: float | None
-    centre = around.origin if around else transform @ (0.5 * cols, 0.5 * rows)
+    centre = origin or transform @ (0.5 * cols, 0.5 * rows)
     if not is_placed(source):
         if posting is None:
             found = [
@@ -211,9 +215,7 @@ def frame_of_window(
         _check_axes(source)
         name = _name(source.crs) + (", degrees" if source.crs.is_geographic else "")
         metres = None if source.crs.is_geographic else float(source.crs.linear_units_factor[1])
-        centre, mappings = _spherical_mappings(
-            source, transform, cols, rows, around.origin if around else None
-        )
+        centre, mappings = _spherical_mappings(source, transform, cols, rows, origin)
     else:
         raise _refusal(
             source,
@@ -294,17 +296,21 @@ def _spherical_mappings(
 ) -> tuple[tuple[float, float], tuple[Mapping, Mapping]]:
     """Return origin of a local frame, and mappings between map and frame.
 
-    The local frame is an azimuthal equidistant projection about `origin` (longitude and latitude,
-    deg), or about the centre of a window of `cols` x `rows`; `transform` converts columns and rows
-    to map coordinates.
+    The local frame is an azimuthal equidistant projection about `origin` (latitude and longitude,
+    deg); None: about the centre of a window of `cols` x `rows`. `transform` converts columns and
+    rows to map coordinates.
     """
-    body = _body(source.crs)
+    body = body_of(source.crs)
     crs = _on_sphere(source.crs, body)
     cx, cy = transform @ (0.5 * cols, 0.5 * rows)
     globe = CRS.from_dict({"proj": "longlat"} | body)
-    (lon,), (lat,) = warp(crs, globe, [cx], [cy]) if origin is None else zip(origin)
+    (lon,), (lat,) = warp(crs, globe, [cx], [cy])
     if not np.isfinite([lon, lat]).all():
         raise _refusal(source, "has its centre outside the domain of its projection")
+    x0 = cx
+    if origin is not None:
+        lat, lon = origin
+        (x0,), _ = warp(globe, crs, [lon], [lat])
     edge = _refusal(
         source, "extends beyond the edge of its projection",
         "Choose a part of the raster with terrain.dtm_window.",
@@ -321,23 +327,56 @@ def _spherical_mappings(
         return warped(crs, target, x, y)
 
     def back(period: float) -> Mapping:
+        near = x0 + (period * np.round((cx - x0) / period) if period else 0.0)
+
         def to_map(east: Array, north: Array) -> tuple[Array, Array]:
             x, y = warped(target, crs, east, north)
             # Shift by the period: longitudes and cylindrical maps continue beyond 180 deg.
-            return (x + period * np.round((cx - x) / period) if period else x), y
+            return (x + period * np.round((near - x) / period) if period else x), y
 
         return to_map
 
+    period = _longitude_period(crs, globe, lon, lat)
+    if origin is not None:
+        # A map of the complete body is valid around the origin, not in all of its corners.
+        return origin, (to_local, back(period if _is_cylindrical(crs, globe, lon, lat) else 0.0))
     at = np.meshgrid([0.5, cols / 2, cols - 0.5], [0.5, rows / 2, rows - 0.5])
     x, y = _transformed(transform, at[0].ravel(), at[1].ravel())
     east, north = to_local(x, y)
-    for period in (0.0, _longitude_period(crs, globe, lon, lat)):
-        to_map = back(period)
+    for step in (0.0, period):
+        to_map = back(step)
         again = to_map(east, north)
         off = np.hypot(again[0] - x, again[1] - y) / min(_step_lengths(transform))
         if np.all(off[np.isfinite(off)] < _MAX_ROUND_TRIP_POSTS):
-            return (lon, lat), (to_local, to_map)
+            return (lat, lon), (to_local, to_map)
     raise edge
+
+
+def _is_cylindrical(crs: CRS, globe: CRS, lon: float, lat: float) -> bool:
+    """Return whether the first map coordinate depends only on the longitude.
+
+    `crs`, `globe`, `lon` and `lat` are as for `_longitude_period`.
+    """
+    x, _ = _reproject(globe, crs, np.full(2, lon), np.array([lat, lat - np.copysign(1.0, lat)]))
+    return bool(abs(x[1] - x[0]) < 1e-9 * _longitude_period(crs, globe, lon, lat))
+
+
+def is_complete_turn(source: DatasetReader) -> bool:
+    """Return whether the columns of a raster go once around the body."""
+    crs = source.crs
+    if not is_placed(source) or not (crs.is_geographic or crs.is_projected):
+        return False
+    body = body_of(crs)
+    globe = CRS.from_dict({"proj": "longlat"} | body)
+    crs, (x, y) = (
+        _on_sphere(crs, body),
+        source.transform @ (0.5 * source.width, 0.5 * source.height),
+    )
+    (lon,), (lat,) = warp(crs, globe, [x], [y])
+    if not np.isfinite([lon, lat]).all() or not _is_cylindrical(crs, globe, lon, lat):
+        return False
+    columns = _longitude_period(crs, globe, lon, lat) / abs(source.transform.a or np.inf)
+    return bool(abs(columns - source.width) < 0.5)
 
 
 def _longitude_period(crs: CRS, globe: CRS, lon: float, lat: float) -> float:
@@ -356,7 +395,7 @@ def _reproject(source: CRS, target: CRS, x: Array, y: Array) -> tuple[Array, Arr
     return np.reshape(east, x.shape), np.reshape(north, y.shape)
 
 
-def _body(crs: CRS) -> dict[str, Any]:
+def body_of(crs: CRS) -> dict[str, Any]:
     """Return the ellipsoid of a coordinate reference system as PROJ parameters.
 
     Planetary maps in the equidistant cylindrical projection define latitudes on a sphere of the

@@ -56,3 +56,13 @@ def test_points_lie_where_the_rays_end():
         LidarScan(0.0, np.ones(3), np.ones((2, 3)), DOWN, np.ones(3), (1, 3)).points(
             np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
         )
+
+
+def test_a_range_below_its_correction_is_no_return():
+    scan, change = seen(), np.zeros(11)
+    change[6] = -50.0
+    wanted = np.where(scan.scan.range > 50.0, scan.scan.range - 50.0, np.nan)
+    corrected = scan.corrected_by(change).scan
+    np.testing.assert_array_equal(corrected.range, wanted)
+    assert 0 < np.isnan(wanted).sum() < 10
+    corrected.check(scan.position, scan.attitude)

@@ -140,6 +140,20 @@ def test_a_rendered_image_shows_it(tmp_path):
     assert images[0] / images[1] == pytest.approx(brightness(east, north), abs=0.012)
 
 
+@pytest.mark.parametrize("west", [-180.0, 0.0])
+def test_an_image_of_the_complete_body_is_read_around_the_terrain(tmp_path, west):
+    terrain_file(tmp_path)
+    step = 0.1
+    lat = 90.0 - step * (np.arange(1800) + 0.5)
+    values = np.tile((1000.0 + 10.0 * lat).astype(np.float32)[:, None], (1, 3600))
+    transform = Affine(step, 0, west, 0, -step, 90.0)
+    image = write(tmp_path / "body.tif", values, transform, f"+proj=longlat +R={R} +no_defs")
+    albedo = built(settings(tmp_path, albedo_path=image)).albedo
+    south, north = albedo.at([[-80.0, -90.0], [-80.0, 90.0]])
+    per_metre = 10.0 * np.degrees(1.0 / R) / (1000.0 + 10.0 * LAT)
+    assert (north - south) / 180.0 == pytest.approx(per_metre, rel=0.02)
+
+
 def test_rocks_keep_their_brightness(tmp_path):
     terrain_file(tmp_path)
     rocks, streams = RockPopulation(cover=0.05), lambda: RandomStreams(flight_seed(1, 0))
@@ -153,7 +167,8 @@ def test_rocks_keep_their_brightness(tmp_path):
 
 
 def test_a_fine_image_is_averaged(tmp_path, monkeypatch):
-    monkeypatch.setattr("lunarsim.world.terrain.albedo_image._MAX_CELLS_PER_SIDE", 52)
+    monkeypatch.setattr("lunarsim.world.terrain.albedo_image._MAX_CELLS", 52)
+    monkeypatch.setattr("lunarsim.world.terrain.albedo_image._MIN_CELLS", 2)
     terrain_file(tmp_path)
     stripes = np.zeros((600, 600), np.uint16)
     stripes[:, ::2] = 2000
