@@ -15,7 +15,6 @@ from lunarsim.vehicle import State
 from lunarsim.world import World
 
 
-
 class MapEdgeMonitor:
     """Report altimeters and velocimeters that have no return because their beams miss the map.
 

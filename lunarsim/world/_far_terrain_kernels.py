@@ -244,9 +244,7 @@ def sweep_shadow(thread_slice, across, start, reach, towards, slope, surface, sh
         place[n] = start[n]
         ahead = 0.25 * surface.finest
         # Beyond, no terrain is high enough.
-        while start[n] + ahead < reach and (
-            surface.top - (start[n] + ahead) * slope > shadow[n]
-        ):
+        while start[n] + ahead < reach and (surface.top - (start[n] + ahead) * slope > shadow[n]):
             s = start[n] + ahead
             x = s * towards[0] - across[n] * towards[1]
             y = s * towards[1] + across[n] * towards[0]

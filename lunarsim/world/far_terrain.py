@@ -213,9 +213,7 @@ def _load_raster(settings: FarTerrainSettings, map_frame: MapFrame | None) -> He
     }  # fmt: skip
     try:
         if map_frame is not None:
-            return dtm.load_around_map(
-                settings.path, map_frame, 0.5 * settings.sizes[0], **options
-            )
+            return dtm.load_around_map(settings.path, map_frame, 0.5 * settings.sizes[0], **options)
         return dtm.load_terrain(settings.path, **options)
     except InputError as error:  # the keys have the same names in [terrain]
         name, problem, remedy = (

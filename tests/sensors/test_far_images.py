@@ -89,7 +89,9 @@ def test_the_shadow_of_far_terrain_crosses_the_edge_of_the_map():
     assert 10 < (lit == 1.0).sum() < 140
     dark = 0.05 * world.light.albedo
     wanted = dark + lit * (bare.radiance[on_map][some] - dark)
-    assert image.radiance[on_map][some] == pytest.approx(wanted, abs=0.1 * float(bare.radiance.max()))
+    assert image.radiance[on_map][some] == pytest.approx(
+        wanted, abs=0.1 * float(bare.radiance.max())
+    )
 
 
 def test_a_camera_sees_a_ridge_in_front_of_the_map():

@@ -11,6 +11,7 @@ from lunarsim.errors import InputError
 from lunarsim.frames import attitude_from_thrust, quat_from_rotation_vector
 from lunarsim.grid import Grid
 from lunarsim.models.gravity import RoundMoon
+from lunarsim.models.lander import Lander
 from lunarsim.rng import RandomStreams
 from lunarsim.scenario import Scenario
 from lunarsim.sensors.altimeter import RadarAltimeter
@@ -24,6 +25,7 @@ from lunarsim.world.far_terrain import FarTerrain, FarTerrainSettings
 from lunarsim.world.horizon import terrain_horizon
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Heightfield, Terrain
+from lunarsim.world.truth_products import TruthProducts
 from tests.reference.far_terrain import Cone, sphere_range
 
 MOON = RoundMoon().gravity(1.622)
@@ -147,7 +149,14 @@ def _write(path, west, north, side, posting, offset=0.0, crs=POLAR):
     y = north - (np.arange(n) + 0.5) * posting
     z = (_height(*np.meshgrid(x, y)) + offset).astype(np.float32)
     with rasterio.open(
-        path, "w", driver="GTiff", width=n, height=n, count=1, dtype="float32", crs=crs,
+        path,
+        "w",
+        driver="GTiff",
+        width=n,
+        height=n,
+        count=1,
+        dtype="float32",
+        crs=crs,
         transform=from_origin(west, north, posting, posting),
     ) as out:
         out.write(z, 1)  # fmt: skip
@@ -271,7 +280,9 @@ def test_shadows_on_a_round_moon_agree_with_the_horizon_of_each_point():
     cone = Cone(400.0, 40_000.0, 3_700.0, 12_000.0)
     world = _world(MOON, cone=cone, side=120_000.0, posting=50.0, **light)
     far, sun = world.far_terrain, world.light
-    points = np.array([[x, y, 0.0] for x in (-390.0, -100.0, 200.0, 390.0) for y in (-350.0, 350.0)])
+    points = np.array(
+        [[x, y, 0.0] for x in (-390.0, -100.0, 200.0, 390.0) for y in (-350.0, 350.0)]
+    )
     found = FarShadow.of(far, sun).sunlight(points)
     wanted = [
         terrain_horizon(
@@ -285,3 +296,16 @@ def test_shadows_on_a_round_moon_agree_with_the_horizon_of_each_point():
     # Without the curvature, the summit is 0.66 deg higher: all points are in full shadow.
     flat = _world(None, cone=cone, side=120_000.0, posting=50.0, **light)
     assert FarShadow.of(flat.far_terrain, sun).sunlight(points).max() == 0.0
+
+
+def test_true_shadow_maps_include_shadows_of_far_terrain():
+    world = _world(azimuth=0.06, elevation=9.5 * DEG, posting=5.0)
+    grid = Grid.centred((0.0, 0.0), 700.0, 10.0)
+    shadow = TruthProducts.of(world, Lander(), grid).shadow
+    ray = world.light.direction
+    points = np.dstack((grid.centres(), np.zeros(grid.shape))).reshape(-1, 3)
+    wanted = np.array([not math.isnan(CONE.hit(p, ray)) for p in points]).reshape(grid.shape)
+    assert 0.05 < wanted.mean() < 0.95
+    assert (shadow != wanted).mean() < 0.03
+    bare = World(world.terrain, 1.622, light=world.light)
+    assert not TruthProducts.of(bare, Lander(), grid).shadow.any()
