@@ -481,7 +481,10 @@ def _load_map(name: str, folder: Path) -> MapRecord:
 
 
 def _map_edge_remark(events: list[dict[str, Any]], duration: float) -> str | None:
-    """Return how long range sensors missed the map during a flight (s), in words; None: never."""
+    """Return in words how long range sensors missed the map; None: never.
+
+    `events` are those of a flight, and `duration` is its duration, s.
+    """
     seconds: dict[str, float] = {}
     for event in events:
         if event["name"] in (OFF_MAP, ON_MAP):

@@ -33,8 +33,8 @@ from lunarsim.simulation.columns import CommandCycle, Cycle
 from lunarsim.simulation.command_delay import CommandQueue, Stopwatch
 from lunarsim.simulation.cycle import fly_cycle
 from lunarsim.simulation.fault_events import fault_events
-from lunarsim.simulation.map_edge import MapEdgeMonitor
 from lunarsim.simulation.flight import Flight
+from lunarsim.simulation.map_edge import MapEdgeMonitor
 from lunarsim.simulation.mission import plan
 from lunarsim.simulation.pacing import Pacer
 from lunarsim.simulation.plant import Plant

@@ -16,7 +16,7 @@ from lunarsim.world import World
 
 
 class MapEdgeMonitor:
-    """Report altimeters and velocimeters that have no return because their beams miss the map.
+    """Report altimeters and velocimeters whose beams miss the map.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class MapEdgeMonitor:
                 }  # fmt: skip
 
     def _misses(self, sensor: str, state: State) -> bool:
-        """Return whether all beams that point down reach the minimum elevation off the map."""
+        """Return whether no beam is over the map at the minimum elevation."""
         beam = quat_rotate(state.attitude, self._beams[sensor])
         beam = beam[beam[:, 2] < 0.0]
         drop = (self._lowest - state.position[2]) / beam[:, 2:]

@@ -93,7 +93,7 @@ def _level_sum(x, y, levels, table, margin):
 
 @kernel()
 def _height(x, y, surface):
-    """Return the height, m, of the surface at an arc (x, y); NaN on missing points of the map."""
+    """Return the height, m, of the surface at an arc (x, y); NaN if unknown."""
     z, frame, levels, table, margin, strip, radius, _, _, _ = surface
     ex = min(max(x, frame[0]), frame[0] + (z.shape[1] - 1) * frame[2])
     ey = min(max(y, frame[1]), frame[1] + (z.shape[0] - 1) * frame[2])
@@ -132,9 +132,10 @@ def _clearance(x, y, z, surface):
 
 @kernel()
 def _first_hit(o, d, max_range, surface):
-    """Return the range, m, at which a ray from `o` (3,) along `d` (3,) first hits; NaN: it misses.
+    """Return the range, m, of the first hit of a ray; NaN if it misses.
 
-    A ray that starts below the surface, or comes out of the terrain, hits nothing.
+    The ray starts at `o` (3,) in the direction `d` (3,), ENU, m. If it starts below the surface, or
+    comes out of the terrain, it hits nothing.
     """
     radius = surface.radius
     t = 0.0
@@ -188,7 +189,10 @@ def _terrain_height(x, y, z, surface):
 
 @kernel()
 def _write_normal(p, surface, out):
-    """Write the unit normal (3,), ENU, of the surface below `p` (3,) from differences over 1 m."""
+    """Write the unit normal (3,), ENU, of the surface below `p` (3,), ENU, m.
+
+    It is computed from differences over 1 m.
+    """
     radius = surface.radius
     out[:] = 0.0
     out[2] = 1.0
@@ -211,7 +215,7 @@ def _write_normal(p, surface, out):
 
 @kernel(shared=True)
 def cast(thread_slice, origin, direction, max_range, surface, distance, normal):
-    """Intersect rays with the surface; write ranges (n,), m, and unit normals (n, 3) of first hits.
+    """Write range (n,), m, and unit normal (n, 3) of the first hit of each ray.
 
     `origin` (1 or n, 3) and `direction` (n, 3) are the rays, ENU, and `max_range` is the maximum
     range, m. Range and normal of a miss are NaN. `thread_slice` is (thread, number of threads).
@@ -230,13 +234,13 @@ def cast(thread_slice, origin, direction, max_range, surface, distance, normal):
 
 @kernel(shared=True)
 def sweep_shadow(thread_slice, across, start, reach, towards, slope, surface, shadow, place):
-    """Find the terrain beyond the map that casts the highest shadow along lines towards the Sun.
+    """Find the terrain beyond the map that casts the highest shadow on lines.
 
-    Line n has the coordinate `across[n]`, m, to the left of the horizontal direction `towards` (2,)
-    to the Sun. It is sampled from `start[n]`, where it leaves the map, to `reach`, m. `slope`, more
-    than 0, is the tangent of the Sun's elevation. The height of a shadow, m, at a distance s along the line is
-    `shadow[n] + s * slope`; `place[n]`, m, is the distance of the terrain that casts it.
-    `thread_slice` is (thread, number of threads).
+    The lines lead towards the Sun. Line n has the coordinate `across[n]`, m, to the left of the
+    horizontal direction `towards` (2,) to the Sun. It is sampled from `start[n]`, where it leaves
+    the map, to `reach`, m. `slope`, more than 0, is the tangent of the Sun's elevation. The height
+    of a shadow, m, at a distance s along the line is `shadow[n] + s * slope`; `place[n]`, m, is the
+    distance of the terrain that casts it. `thread_slice` is (thread, number of threads).
     """
     radius = surface.radius
     for n in range(thread_slice[0], across.shape[0], thread_slice[1]):

@@ -1,9 +1,9 @@
 """Sunlight on the map that terrain beyond the map obstructs.
 
-Each vertical strip of the Sun's disc has an azimuth. Towards it, the terrain beyond the map is swept
-along parallel lines: on each line, the terrain that casts the highest shadow is found once for all
-points of the map. Its elevation angle at a point is exact, also at the point's own height. Of a
-strip, shadows of its lower end and of its middle are found: terrain below the lower end hides
+Each vertical strip of the Sun's disc has an azimuth. Towards it, the terrain beyond the map is
+swept along parallel lines: on each line, the terrain that casts the highest shadow is found once
+for all points of the map. Its elevation angle at a point is exact, also at the point's own height.
+Of a strip, shadows of its lower end and of its middle are found: terrain below the lower end hides
 nothing. The visible part of the disc follows as in `Horizon.visible_fraction`.
 """
 
@@ -92,7 +92,7 @@ class FarShadow:
         return found
 
     def sunlight(self, points: Array) -> Array:
-        """Return the visible fraction (n,) of the Sun's disc at points of the map (n, 3), m.
+        """Return the visible fraction (n,) of the Sun's disc at points (n, 3), m.
 
         Only terrain beyond the map obstructs it.
         """
@@ -109,7 +109,7 @@ class FarShadow:
 def _strips(
     terrain: FarTerrain, azimuth: float, elevation: float, diameter: float
 ) -> list[_Strip]:  # fmt: skip
-    """Return the strips of the Sun's disc; none if the Sun is too high for shadows of terrain."""
+    """Return the strips of the Sun's disc; none if the Sun is near the zenith."""
     if elevation > _MAX_ELEVATION:
         return []
     if diameter == 0.0:
@@ -133,7 +133,9 @@ def _swept(terrain: FarTerrain, azimuth: float, elevation: float, half: float) -
     across = np.linspace(left.min(), left.max(), count)
     start = np.full(count, np.inf)
     edges = ((west, east), (south, north))
-    for axis, (offset, (low, high)) in enumerate(zip((-towards[1], towards[0]), edges)):
+    for axis, (offset, (low, high)) in enumerate(
+        zip((-towards[1], towards[0]), edges, strict=True)
+    ):
         if abs(towards[axis]) > 1e-9:
             edge = high if towards[axis] > 0.0 else low
             start = np.minimum(start, (edge - across * offset) / towards[axis])

@@ -1,9 +1,9 @@
-"""Terrain beyond the map: coarser fractal or measured levels, on a flat or spherical Moon.
+"""Terrain beyond the map: coarser fractal or measured levels.
 
-A point is located by its arc east and north of the map's origin on the sphere; on flat terrain, by
-its coordinates. Each level fades out towards its edge, and heights at the map's edge blend into the
-surrounding level, so that the height above the datum is continuous. A level is built when it is
-first needed.
+The Moon is flat or a sphere. A point is located by its arc east and north of the map's origin on
+the sphere; on a flat Moon, by its coordinates. Each level fades out towards its edge, and heights
+at the map's edge blend into the surrounding level, so that the height above the datum is
+continuous. A level is built when it is first needed.
 """
 
 from __future__ import annotations
@@ -191,7 +191,7 @@ def _load_measured(settings: FarTerrainSettings) -> Heightfield:
 
 
 def _has_crs(settings: FarTerrainSettings, map_frame: MapFrame | None) -> bool:
-    """Return whether the map and the raster of the first level have a coordinate reference."""
+    """Return whether map and raster have a coordinate reference system."""
     from lunarsim.world.terrain.dtm import read_frame  # noqa: PLC0415  (rasterio loads slowly)
 
     assert settings.path is not None
@@ -269,7 +269,10 @@ def _placed_raster(
 
 
 def _height_above_map(field: Heightfield, terrain: Terrain, moon: CentralGravity | None) -> float:
-    """Return the mean height, m, of a raster above the map; without an overlap, its mean."""
+    """Return the mean height, m, of a raster above the map, or its mean height.
+
+    The latter is for a raster that covers nothing of the map.
+    """
     step = max(1, -(-max(terrain.relief.z.shape) // _MAX_COMPARED))
     g = terrain.relief.grid
     x, y = np.meshgrid(g.x[::step], g.y[::step])
@@ -428,7 +431,9 @@ class FarTerrain:
         table = np.array(
             [
                 (g.x0, g.y0, g.posting, g.rows, g.cols, first, self._half_side(n))
-                for n, (g, first) in enumerate(zip((one.grid for one in made), start[:-1]))
+                for n, (g, first) in enumerate(
+                    zip((one.grid for one in made), start[:-1], strict=True)
+                )
             ]
         )
         west, east, south, north = self.terrain.bounds

@@ -42,8 +42,8 @@ class TruthProducts:
     safe
         Exact safety for the lander at every heading (Definition III.1 of the Gaussian DEM paper).
     shadow
-        Whether the cell's centre is in shadow, also that of far terrain; False where the elevation is unknown. With the Sun
-        below the horizon, all other cells are True.
+        Whether the cell's centre is in shadow, also that of far terrain; False where the elevation
+        is unknown. With the Sun below the horizon, all other cells are True.
     """
 
     grid: Grid

@@ -244,8 +244,8 @@ def test_it_navigates_over_a_round_moon(scenario):
 
 
 def test_inertial_navigation_follows_an_orbit_over_a_round_moon():
-    from lunarsim.models.gravity import RoundMoon  # noqa: PLC0415
-    from lunarsim.onboard.navigation.inertial import StrapdownState  # noqa: PLC0415
+    from lunarsim.models.gravity import RoundMoon
+    from lunarsim.onboard.navigation.inertial import StrapdownState
 
     moon = RoundMoon(spin=2e-5, latitude=0.5).gravity(1.622)
     place, speed = np.array([0.0, 0.0, 15_000.0]), np.array([1_600.0, 50.0, 0.0])

@@ -359,8 +359,8 @@ class AidingMeasurements:
                 )
         footprint = self.state.inertial.position[:2] + self._footprint_offset(beam)
         outcome = update_with_range(
-            self.state, distance, sigma, beam, self.terrain_prior.elevation_at(footprint), block=block,
-            index=number, terrain_variance=terrain_variance, gate=innovation_gate(1),
+            self.state, distance, sigma, beam, self.terrain_prior.elevation_at(footprint),
+            block=block, index=number, terrain_variance=terrain_variance, gate=innovation_gate(1),
         )  # fmt: skip
         self.record_outcome(sensor, "range", outcome, columns, _MAX_HEIGHT_SIGMA_M, time)
 

@@ -91,7 +91,7 @@ class TerrainPrior:
         return cls(float(briefing.target[2]), max(sigma, _MIN_HEIGHT_SIGMA_M), relief, radius)
 
     def elevation_at(self, xy: Array) -> float:
-        """Return the estimated elevation, m, of the terrain at a point (2,), local frame, m."""
+        """Return the estimated terrain elevation, m, at a point (2,), local, m."""
         return self.elevation - float(xy @ xy) / (2.0 * self.radius)
 
     @property

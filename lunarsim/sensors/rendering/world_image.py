@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendered_image import RenderedImage
@@ -12,7 +13,6 @@ from lunarsim.sensors.rendering.renderer import renderer_of
 from lunarsim.typing import Array
 from lunarsim.world import World
 from lunarsim.world.far_shadow import FarShadow
-from lunarsim.world.light import Light
 
 # Tolerance for the order of hits on the map and beyond it: a share of the range, and m.
 _ORDER_TOLERANCE = (1e-3, 0.5)
@@ -51,7 +51,9 @@ def render_world(world: World, view: View, *, truth: bool = False) -> RenderedIm
     return drawn if truth else RenderedImage(drawn.radiance)
 
 
-def _with_far_shadows(world: World, view: View, image: RenderedImage, rays: Array) -> Array:
+def _with_far_shadows(
+    world: World, view: View, image: RenderedImage, rays: Array
+) -> NDArray[np.float32]:
     """Return the radiance (height, width) with shadows of the far terrain on the map."""
     assert image.range is not None
     assert image.identity is not None
@@ -71,7 +73,7 @@ def _with_far_shadows(world: World, view: View, image: RenderedImage, rays: Arra
 
 
 def _with_far_terrain(world: World, view: View, image: RenderedImage, rays: Array) -> RenderedImage:
-    """Return an image with the terrain beyond the map in the sky and in front of the map."""
+    """Add the terrain beyond the map to an image, in the sky and before the map."""
     far = world.far_terrain
     assert far is not None
     assert image.range is not None
@@ -88,10 +90,8 @@ def _with_far_terrain(world: World, view: View, image: RenderedImage, rays: Arra
     at = np.flatnonzero(cast)[seen]
     if not at.size:
         return image
-    radiance, range_, identity = (
-        v.copy().ravel() for v in (image.radiance, image.range, image.identity)
-    )
-    normal = image.normal.copy().reshape(-1, 3)
+    radiance, range_ = image.radiance.flatten(), image.range.flatten()
+    identity, normal = image.identity.flatten(), image.normal.reshape(-1, 3).copy()
     ray = rays.reshape(-1, 3)[at]
     range_[at], normal[at], identity[at] = hits.range[seen], hits.normal[seen], -1
     points = view.position + hits.range[seen][:, None] * ray

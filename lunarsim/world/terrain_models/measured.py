@@ -142,7 +142,7 @@ class RasterTerrain(ReliefRoughness):
         return add_rocks(relief, rocks, streams, albedo=albedo)
 
     def frame(self) -> tuple[Any, Any]:
-        """Return the local frame of the raster and its coordinate reference system, or None."""
+        """Return the frame of the raster and its coordinate reference system."""
         from lunarsim.world.terrain.dtm import read_frame  # noqa: PLC0415  (loads rasterio)
 
         assert self.path is not None
