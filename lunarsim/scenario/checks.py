@@ -340,11 +340,7 @@ def _check_map_size(field: str, mapper: Any, scenario: CheckedTables) -> None:
 
 
 def _check_navigation(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
-    """Check that navigation has the sensors, prior map and gravity that it needs.
-
-    A table [far_terrain] also needs a table [moon]. Inertial navigation permits no [moon], because
-    it assumes uniform gravity.
-    """
+    """Check that navigation has the sensors and the prior map that it needs."""
     navigation = scenario.navigation.make()
     for wanted in navigation.needs:
         if not _has_sensor_for(sensors, wanted):
@@ -354,18 +350,6 @@ def _check_navigation(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
                 "scenario has none",
                 "Add the sensor as a table [sensors.NAME].", show_value=False,
             )  # fmt: skip
-    if scenario.far_terrain is not None and scenario.moon is None:
-        raise InputError(
-            "far_terrain", "given", "needs a table [moon]",
-            "Add [moon] or delete [far_terrain].", show_value=False,
-        )  # fmt: skip
-    if scenario.moon is not None and InertialSamples in navigation.needs:
-        raise InputError(
-            "moon", "given",
-            f"is not supported by navigation of kind {scenario.navigation.kind!r}, which assumes "
-            "uniform gravity",
-            "Delete [moon], or use navigation of kind 'fixes'.", show_value=False,
-        )  # fmt: skip
     if navigation.needs_prior_map and scenario.prior_map is None:
         raise InputError(
             "prior_map", None,

@@ -206,6 +206,7 @@ class MoonChanges(TypedDict, total=False):
     spin_deg_s: float
 
 class FarTerrainTable(PartSettings):
+    centre_m: tuple[float, float] | None
     dtm_nodata: float | tuple[float, ...] | None
     dtm_posting_m: float | None
     dtm_unit: str | None
@@ -217,6 +218,7 @@ class FarTerrainTable(PartSettings):
     sizes_m: tuple[float, ...]
 
 class FarTerrainChanges(TypedDict, total=False):
+    centre_m: tuple[float, float] | None
     dtm_nodata: float | tuple[float, ...] | None
     dtm_posting_m: float | None
     dtm_unit: str | None

@@ -197,10 +197,9 @@ class Camera(CameraModel):
         RenderingError
             If OpenGL is missing.
         """
-        from lunarsim.sensors.rendering import renderer_of  # noqa: PLC0415  (loads OpenGL)
+        from lunarsim.sensors.rendering import render_world  # noqa: PLC0415  (loads OpenGL)
 
         _check_pose(state)
-        renderer = renderer_of(world.terrain)
         view = self._with_border(self.view(state))
         rate = self.mount.T @ np.asarray(state.rate)
         radiance = self._blur_motion(self._render(world, state, view), view, rate)
@@ -212,7 +211,7 @@ class Camera(CameraModel):
         kept = None
         if truth:
             # Rendered separately at full detail, so that the request does not change the image.
-            image = renderer.render(view, world.light, truth=True)
+            image = render_world(world, view, truth=True)
             assert image.range is not None
             assert image.normal is not None
             assert image.identity is not None
@@ -390,16 +389,15 @@ def _propagate(state: State, time: float) -> State:
 
 def _supersample(world: World, view: View, side: int) -> NDArray[np.float32]:
     """Render a view; average the radiance factor over `side` x `side` rays per pixel."""
-    from lunarsim.sensors.rendering import renderer_of  # noqa: PLC0415  (loads OpenGL)
+    from lunarsim.sensors.rendering import render_world  # noqa: PLC0415  (loads OpenGL)
 
-    renderer = renderer_of(world.terrain)
     if side == 1:
-        return renderer.render(view, world.light).radiance
+        return render_world(world, view).radiance
     fine = View(
         view.position, view.axes, side * view.fx, side * view.fy,
         side * (view.cx + 0.5) - 0.5, side * (view.cy + 0.5) - 0.5,
         side * view.width, side * view.height,
     )  # fmt: skip
-    drawn = renderer.render(fine, world.light).radiance
+    drawn = render_world(world, fine).radiance
     parts = drawn.reshape(view.height, side, view.width, side)
     return np.asarray(parts.mean((1, 3), dtype=np.float32))

@@ -297,7 +297,7 @@ class FlashLidar:
         `rays` (n, 3) are unit vectors, ENU, and `origin` is their start, (3,) or (n, 3), m. Both
         results are NaN without a return.
         """
-        hits = world.terrain.cast(origin, rays, self.max_range)
+        hits = world.cast(origin, rays, self.max_range)
         true = (
             hits.range
             if self.divergence == 0.0
@@ -344,7 +344,7 @@ class FlashLidar:
             offset = radius * (np.cos(angle) * across + np.sin(angle) * third)
             ray = rays + offset
             ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-            found = world.terrain.cast(origin, ray, self.max_range, normals=False).range
+            found = world.cast(origin, ray, self.max_range, normals=False).range
             seen = np.isfinite(found)
             total[seen] += found[seen]
             count += seen

@@ -85,6 +85,9 @@ _LAYERS = {
 }  # fmt: skip
 _BOOLEAN_LAYERS = ("observed", "eligible", "in_domain")
 
+# Events of a range sensor whose beams miss the map, and hit it again.
+OFF_MAP, ON_MAP = "beams-off-map", "beams-on-map"
+
 
 @dataclass
 class Flight:
@@ -249,6 +252,9 @@ class Flight:
         if self.first_lost_time is not None:
             end = "not recovered" if self.lost else "recovered later"
             facts.append(("navigation", f"lost at {self.first_lost_time:.1f} s, {end}"))
+        beyond = _map_edge_remark(self.events, self.duration)
+        if beyond is not None:
+            facts.append(("no returns", beyond))
         facts += [
             (f"map {name!r}", words)
             for name, words in map_remarks_by_mapper(self.maps, self.decision_mapper).items()
@@ -472,3 +478,19 @@ def _load_map(name: str, folder: Path) -> MapRecord:
     }
     with reading(path):
         return MapRecord(HazardMap(grid, **layers), error, tables, time)
+
+
+def _map_edge_remark(events: list[dict[str, Any]], duration: float) -> str | None:
+    """Return in words how long range sensors missed the map; None: never.
+
+    `events` are those of a flight, and `duration` is its duration, s.
+    """
+    seconds: dict[str, float] = {}
+    for event in events:
+        if event["name"] in (OFF_MAP, ON_MAP):
+            sign = -1.0 if event["name"] == OFF_MAP else 1.0
+            seconds[event["sensor"]] = seconds.get(event["sensor"], 0.0) + sign * event["time"]
+    # A sensor that still misses the map at the end has a negative sum.
+    total = {name: s if s > 0.0 else s + duration for name, s in seconds.items()}
+    named = ", ".join(f"{name} {s:.1f} s" for name, s in total.items())
+    return f"{named}: beams miss the map (add [far_terrain])" if named else None

@@ -18,7 +18,7 @@ from lunarsim.scenario import Scenario
 from lunarsim.sensors.camera import Camera
 from lunarsim.sensors.framing_camera import FramingCamera
 from lunarsim.sensors.rendered_image import RenderedImage
-from lunarsim.sensors.rendering import renderer_of
+from lunarsim.sensors.rendering import render_world
 from lunarsim.simulation.worlds import build_world
 from lunarsim.vehicle import State
 from lunarsim.world import World
@@ -82,7 +82,7 @@ def auto_exposure(camera: Camera, world: World, state: State) -> float:
     A gain above 1 reduces this level in proportion. `state` is the state of the lander that carries
     the camera. If the image is dark, the result is the exposure time of `camera`.
     """
-    radiance = renderer_of(world.terrain).render(camera.view(state), world.light).radiance
+    radiance = render_world(world, camera.view(state)).radiance
     bright = float(np.percentile(radiance, 99.5))
     if bright <= 0.0:
         return camera.exposure

@@ -34,6 +34,7 @@ from lunarsim.simulation.command_delay import CommandQueue, Stopwatch
 from lunarsim.simulation.cycle import fly_cycle
 from lunarsim.simulation.fault_events import fault_events
 from lunarsim.simulation.flight import Flight
+from lunarsim.simulation.map_edge import MapEdgeMonitor
 from lunarsim.simulation.mission import plan
 from lunarsim.simulation.pacing import Pacer
 from lunarsim.simulation.plant import Plant
@@ -213,6 +214,7 @@ class Simulation:
         with recorded_in(messages):
             self.computer = _make_computer(briefing, None if self._oracle else self.policy)
         self.recorder = Recorder(briefing.target, *_recorded_sensors(scenario))
+        self._map_edge = MapEdgeMonitor(world, briefing.instruments)
         delay = scenario.command_delay
         self._stopwatch = Stopwatch()
         self._commands = CommandQueue(
@@ -345,6 +347,7 @@ class Simulation:
         with self._failure_ends_flight(), self._stopwatch:
             c.update(measurements)
         self.recorder.record_measurements(measurements, c, self.navigation_error, self.state)
+        self.recorder.add_events(self._map_edge.events(measurements, self.state))
         left = 0.0 if self.done else max(c.time_to_go, 0.0)
         self.recorder.add_cycle(Cycle(self.time, self.state, c, left))
         if self.done:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple
 
@@ -158,6 +158,10 @@ class Recorder:
             self._update_times[name] = computer.time
             if self._first_map is None:
                 self._first_map = computer.estimate
+
+    def add_events(self, events: Iterable[dict[str, Any]]) -> None:
+        """Add events of sensors, with time and name."""
+        self._sensor_events.extend(events)
 
     def _record_sensor(
         self, sensor: str, measurement: LidarScan | CameraImage, computer: OnboardComputer

@@ -41,8 +41,10 @@ def build_world(
         light = replace(light, albedo_seed=int(streams.get("albedo").integers(2**31)))
     moon = None if scenario.moon is None else scenario.moon.make().gravity(scenario.gravity_m_s2)
     about = None
-    if moon is not None and scenario.far_terrain is not None:
-        about = scenario.far_terrain.make().build(terrain, moon, streams)
+    if scenario.far_terrain is not None:
+        frame = getattr(scenario.terrain.make(), "frame", None)
+        map_frame = None if frame is None else frame()
+        about = scenario.far_terrain.make().build(terrain, moon, streams, map_frame)
     dust = None if scenario.dust is None else scenario.dust.make()
     return World(terrain, scenario.gravity_m_s2, light, moon, about, dust)
 

@@ -7,6 +7,7 @@ image with the same Sun direction, and casts no shadow.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import cv2
@@ -81,11 +82,11 @@ class ChaseView:
         self, world: World, lander: Lander, first: Moment, size: tuple[int, int],
         focal_length: float,
     ) -> None:  # fmt: skip
-        from lunarsim.sensors.rendering import renderer_of  # noqa: PLC0415  (loads OpenGL)
+        from lunarsim.sensors.rendering import render_world  # noqa: PLC0415  (loads OpenGL)
 
         self.world, self.lander = world, lander
         self._size, self._focal_length = size, focal_length
-        self._renderer = renderer_of(world.terrain)
+        self._render = partial(render_world, world)
         way = first.velocity[:2]
         if np.linalg.norm(way) < 0.1:
             way = first.site[:2] - first.position[:2]
@@ -98,8 +99,7 @@ class ChaseView:
 
         A flight keeps one exposure, so that the brightness of its images is comparable.
         """
-        light = self.world.light
-        seen = np.concatenate([self._renderer.render(v, light).radiance.ravel() for v in views])
+        seen = np.concatenate([self._render(v).radiance.ravel() for v in views])
         lit = seen[seen > 0.0]
         self._white = _HEADROOM * float(np.percentile(lit, 90.0)) if lit.size else 1.0
 
@@ -130,7 +130,7 @@ class ChaseView:
 
     def terrain_image(self, view: View) -> Image:
         """Render the terrain from a camera pose as an RGB image (height, width, 3)."""
-        radiance = self._renderer.render(view, self.world.light).radiance
+        radiance = self._render(view).radiance
         tone = 235.0 * np.clip(radiance / self._white, 0.0, 1.0) ** (1.0 / 2.2)
         image = np.repeat(tone[..., None], 3, axis=2).astype(np.uint8)
         return np.maximum(image, np.array(BACKGROUND, np.uint8))

@@ -15,6 +15,7 @@ from lunarsim.grid import Grid, check_raster_size
 from lunarsim.models.lander import Lander
 from lunarsim.typing import BoolArray
 from lunarsim.world import World
+from lunarsim.world.far_shadow import FarShadow
 from lunarsim.world.site_safety import site_safety
 
 # Rays to the Sun start this far above the surface, so that they do not hit it, m.
@@ -41,8 +42,8 @@ class TruthProducts:
     safe
         Exact safety for the lander at every heading (Definition III.1 of the Gaussian DEM paper).
     shadow
-        Whether the cell's centre is in shadow; False where the elevation is unknown. With the Sun
-        below the horizon, all other cells are True.
+        Whether the cell's centre is in shadow, also that of far terrain; False where the elevation
+        is unknown. With the Sun below the horizon, all other cells are True.
     """
 
     grid: Grid
@@ -69,6 +70,9 @@ class TruthProducts:
             start = points + _RAY_OFFSET_M * normal
             rays = np.broadcast_to(sun, (int(lit.sum()), 3))
             dark[lit] = np.isfinite(terrain.cast(start[lit], rays, normals=False).range)
+            if world.far_terrain is not None:
+                light = FarShadow.of(world.far_terrain, world.light).sunlight(points[lit])
+                dark[lit] |= light < 0.5
         safe, _ = site_safety(terrain, grid, lander)
         return cls(grid, elevation, slope.astype(np.float32), terrain.rock_raster(grid), safe, dark)
 

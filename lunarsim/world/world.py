@@ -14,6 +14,9 @@ from lunarsim.world.far_terrain import FarTerrain
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import RayHits, Terrain
 
+# Hits of one ray on the map and on the far terrain that are no farther apart are one hit, m.
+_SAME_HIT_M = 0.01
+
 
 @dataclass(frozen=True)
 class World:
@@ -29,7 +32,7 @@ class World:
         Spherical Moon with central gravity, for descents from orbit; None: flat terrain and uniform
         gravity.
     far_terrain
-        Terrain beyond the map on the spherical Moon; None: rays that leave the map hit nothing.
+        Terrain beyond the map; None: rays that leave the map hit nothing.
     light
         Sun, Earth and photometry of the terrain; cameras and star trackers depend on it.
     dust
@@ -49,32 +52,54 @@ class World:
             return None
         return self.dust.sheet(self.terrain, position, attitude, thrust)
 
-    def cast(self, origin: ArrayLike, direction: ArrayLike, max_range: float = np.inf) -> RayHits:
-        """Intersect rays with the map; if they miss the map, with the far terrain.
+    def cast(
+        self,
+        origin: ArrayLike,
+        direction: ArrayLike,
+        max_range: float = np.inf,
+        *,
+        normals: bool = True,
+    ) -> RayHits:
+        """Intersect rays with the map and with the far terrain.
 
-        `origin` (3,), ENU, m, is the start of the rays, `direction` (n, 3) their unit vectors and
-        `max_range` the maximum range, m. Returns range, normal and rock index of each first hit. A
-        ray that hits neither has NaN and the index -2.
+        `origin`, (3,) or (n, 3), ENU, m, is the start of the rays, `direction` (n, 3) their unit
+        vectors and `max_range` the maximum range, m. Returns range, normal and rock index of each
+        first hit. A ray that hits neither has NaN and the index -2. Without `normals`, the array of
+        normals is empty.
         """
-        hits = self.terrain.cast(origin, direction, max_range)
-        if self.far_terrain is None or np.isfinite(hits.range).all():
+        hits = self.terrain.cast(origin, direction, max_range, normals=normals)
+        if self.far_terrain is None:
             return hits
-        beyond = self.far_terrain.cast(origin, direction, max_range)
-        missed = ~np.isfinite(hits.range)
-        return RayHits(
-            np.where(missed, beyond.range, hits.range),
-            np.where(missed[:, None], beyond.normal, hits.normal),
-            np.where(missed, beyond.rock, hits.rock),
+        start = np.asarray(origin, dtype=np.float64)
+        west, east, south, north = self.terrain.bounds
+        over = (np.abs(start[..., 0] - 0.5 * (west + east)) <= 0.5 * (east - west)) & (
+            np.abs(start[..., 1] - 0.5 * (south + north)) <= 0.5 * (north - south)
         )
+        # A ray from above the map that hits the map does not leave it before.
+        left = np.flatnonzero(~(over & np.isfinite(hits.range)))
+        if not left.size:
+            return hits
+        rays = np.asarray(direction, dtype=np.float64)[left]
+        far = self.far_terrain.cast(start if start.ndim == 1 else start[left], rays, max_range)
+        # The far terrain includes the relief of the map: hits there are the same ones.
+        nearer = np.isfinite(far.range) & ~(far.range >= hits.range[left] - _SAME_HIT_M)
+        at = left[nearer]
+        hits.range[at], hits.rock[at] = far.range[nearer], far.rock[nearer]
+        if normals:
+            hits.normal[at] = far.normal[nearer]
+        return hits
 
     def is_below_terrain(self, position: Array, min_elevation: float) -> bool:
         """Return whether a position (3,), ENU, m, is more than 1 m below the terrain.
 
-        With far terrain, the terrain at the position counts. Without it, the position must be more
-        than 1 m below `min_elevation`, the minimum elevation of the map, m.
+        With far terrain, the terrain at the position counts. Without it, or where the map has no
+        height, the position must be more than 1 m below `min_elevation`, the minimum elevation of
+        the map, m.
         """
         if self.far_terrain is not None:
-            return bool(self.far_terrain.clearance(position) < -1.0)
+            clearance = float(self.far_terrain.clearance(position))
+            if np.isfinite(clearance):
+                return clearance < -1.0
         return bool(self.height(position) < min_elevation - 1.0)
 
     def height(self, position: Array) -> Array:

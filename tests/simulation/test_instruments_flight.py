@@ -224,3 +224,70 @@ def test_scans_speeds_and_ranges_report_neither_place_nor_yaw(scenario):
         assert np.sqrt(up @ p[6:9, 6:9] @ up) > 0.998 * yaw
     assert np.sqrt(p[2, 2]) < 0.9 * 10.0, "height is told"
     assert np.sqrt(np.diag(p)[3:6]).max() < 0.1, "speed is told"
+
+
+def test_it_navigates_over_a_round_moon(scenario):
+    """The error over a sphere is that over a plane: 20 km away, the sphere is 115 m lower."""
+    start = {"position_m": [-20_000.0, 0.0, 6_000.0], "velocity_m_s": [150.0, 0.0, -30.0]}
+    around = {"sizes_m": [80_000.0], "postings_m": [200.0], "rms_slopes_deg": [0.0]}
+    errors = []
+    for moon in ({}, {"moon": {}}):
+        flown = scenario.changed(start=start, far_terrain=around, **moon)
+        simulation = Simulation(flown, 3, "no-divert")
+        for _ in range(400):
+            simulation.step()
+        errors.append(simulation.site_error)
+        assert "covariance-inflated" not in events(simulation)
+    # Both flights have the same random draws.
+    assert errors[1] == pytest.approx(errors[0], abs=3.0)
+    assert abs(errors[1][2]) < 10.0
+
+
+def test_inertial_navigation_follows_an_orbit_over_a_round_moon():
+    from lunarsim.models.gravity import RoundMoon
+    from lunarsim.onboard.navigation.inertial import StrapdownState
+
+    moon = RoundMoon(spin=2e-5, latitude=0.5).gravity(1.622)
+    place, speed = np.array([0.0, 0.0, 15_000.0]), np.array([1_600.0, 50.0, 0.0])
+    level = np.array([0.0, 0.0, 0.0, 1.0])
+    nav = StrapdownState(place, speed, level, 1.622, gravity_model=moon)
+    x = np.concatenate((place, speed))
+
+    def slope(y):
+        r = y[:3] + [0.0, 0.0, moon.radius]
+        pull = -1.622 * moon.radius**2 * r / np.linalg.norm(r) ** 3
+        w = moon.spin
+        return np.concatenate(
+            (y[3:], pull - 2.0 * np.cross(w, y[3:]) - np.cross(w, np.cross(w, r)))
+        )
+
+    for _ in range(1_500):  # Runge-Kutta, 0.1 s
+        nav.propagate(np.zeros((10, 3)), np.zeros((10, 3)))
+        a = slope(x)
+        b = slope(x + 0.05 * a)
+        c = slope(x + 0.05 * b)
+        d = slope(x + 0.1 * c)
+        x = x + 0.1 / 6.0 * (a + 2.0 * b + 2.0 * c + d)
+    assert nav.position == pytest.approx(x[:3], abs=0.1)
+    assert nav.velocity == pytest.approx(x[3:], abs=1e-3)
+    assert abs(x[2] - place[2]) > 1_000.0
+
+
+def test_a_flight_reports_beams_that_miss_the_map(scenario):
+    """Without far terrain, events and the summary name the sensors; with it, there are none."""
+    start = {"position_m": [-300.0, 0.0, 200.0], "velocity_m_s": [20.0, 0.0, -8.0]}
+    near = {"sizes_m": [8_000.0], "postings_m": [40.0], "rms_slopes_deg": [0.0]}
+    flights = [
+        Simulation(scenario.changed(start=start, **more), 1, "no-divert").run()
+        for more in ({}, {"far_terrain": near})
+    ]
+    edge = [(e["time"], e["name"]) for e in flights[0].events if e.get("sensor") == "altimeter"]
+    assert edge[0] == (0.0, "beams-off-map")
+    assert edge[1][1] == "beams-on-map"
+    flown = flights[0].trajectory
+    x = np.interp(edge[1][0], flown["time"], flown["position_x"])
+    assert -200.0 < x < -40.0  # the map ends at -120 m; the lander is tilted
+    assert f"altimeter {edge[1][0]:.1f} s" in str(flights[0])
+    assert "add [far_terrain]" in str(flights[0])
+    assert not [e for e in flights[1].events if e["name"].startswith("beams-o")]
+    assert "far_terrain" not in str(flights[1])

@@ -148,5 +148,5 @@ def test_a_raster_is_the_first_level():
 def test_what_does_not_fit_is_refused():
     with pytest.raises(InputError, match="postings"):
         FarTerrainSettings(postings=(40.0,))
-    with pytest.raises(InputError, match="moon"):
-        Scenario.from_dict({"far_terrain": {}})
+    with pytest.raises(InputError, match=r"far_terrain\.centre_m: places the raster"):
+        Scenario.from_dict({"far_terrain": {"centre_m": [1.0, 2.0]}})

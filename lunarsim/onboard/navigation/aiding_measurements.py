@@ -357,9 +357,10 @@ class AidingMeasurements:
                 terrain_variance = self.terrain_prior.growth * float(
                     np.hypot(*self._footprint_offset(beam))
                 )
+        footprint = self.state.inertial.position[:2] + self._footprint_offset(beam)
         outcome = update_with_range(
-            self.state, distance, sigma, beam, self.terrain_prior.elevation, block=block,
-            index=number, terrain_variance=terrain_variance, gate=innovation_gate(1),
+            self.state, distance, sigma, beam, self.terrain_prior.elevation_at(footprint),
+            block=block, index=number, terrain_variance=terrain_variance, gate=innovation_gate(1),
         )  # fmt: skip
         self.record_outcome(sensor, "range", outcome, columns, _MAX_HEIGHT_SIGMA_M, time)
 
@@ -368,7 +369,8 @@ class AidingMeasurements:
 
         `beam` is the direction of the beam in body axes (3,).
         """
-        inertial, level = self.state.inertial, self.terrain_prior.elevation
+        inertial = self.state.inertial
+        level = self.terrain_prior.elevation_at(inertial.position[:2])
         level += float(self.state.value(TERRAIN)[0]) if self.state.has(TERRAIN) else 0.0
         level += float(self.state.value(MAP)[2]) if self.state.has(MAP) else 0.0
         direction = quat_rotate(inertial.attitude, beam)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from lunarsim.errors import InputError
 from lunarsim.frames import is_rotation, normalised, quat_multiply, quat_to_matrix
 from lunarsim.messages.briefing import Briefing
+from lunarsim.models.gravity import GravityModel
 from lunarsim.models.inertial_unit import TACTICAL_ACCELEROMETERS, TACTICAL_GYROSCOPES, TriadErrors
 from lunarsim.models.instruments import InertialInstrument
 from lunarsim.onboard.navigation import _inertial_kernels as kernels
@@ -121,6 +122,9 @@ class StrapdownState:
         Error models of the inertial unit.
     limits
         Limits of the lander's dynamics, to reject outliers; default: limits of any lander.
+    gravity_model
+        Central gravity of a round Moon in its rotating frame; omitted: uniform `gravity`. The
+        change of gravity with the error of the position is neglected.
 
     Raises
     ------
@@ -140,8 +144,10 @@ class StrapdownState:
         gyroscopes: TriadErrors = TACTICAL_GYROSCOPES,
         accelerometers: TriadErrors = TACTICAL_ACCELEROMETERS,
         limits: ImuSampleLimits | None = None,
+        gravity_model: GravityModel | None = None,
     ) -> None:
         start = _check_start(position, velocity, attitude, gravity, step)
+        self._gravity_model = gravity_model
         self._x = np.concatenate((start[:6], np.zeros(3), normalised(start[6:]), np.zeros(3)))
         self._gravity = np.array([0.0, 0.0, -gravity])
         self.step = step
@@ -205,6 +211,7 @@ class StrapdownState:
         state = cls(
             s.position, s.velocity, s.attitude, briefing.surface_gravity, step=briefing.step,
             gyroscopes=unit.gyroscopes, accelerometers=unit.accelerometers, limits=limits,
+            gravity_model=briefing.nonuniform_gravity,
         )  # fmt: skip
         return state, sigmas
 
@@ -295,6 +302,9 @@ class StrapdownState:
                 np.where(is_missing, np.nan, angle),
                 np.where(is_missing, np.nan, velocity),
             )
+        if self._gravity_model is not None:
+            middle = self.position + 0.5 * len(angle) * self.step * self.velocity
+            self._gravity = self._gravity_model.free_fall_acceleration(middle, self.velocity)
         self._x, transition, noise = kernels.propagate(
             self._x, self._last_sample, angle, velocity, self.step,
             self._gravity, self._density, self._missing_density,

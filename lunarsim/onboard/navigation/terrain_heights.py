@@ -30,6 +30,7 @@ from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
 from lunarsim.messages.briefing import Briefing
+from lunarsim.models.gravity import CentralGravity
 from lunarsim.onboard.navigation import _kriging_kernels as kernels
 from lunarsim.onboard.navigation.error_state import POSE, ErrorState, UpdateOutcome
 from lunarsim.typing import Array, IntArray
@@ -59,11 +60,14 @@ class TerrainPrior:
         elevation is exact everywhere.
     relief
         Tangent of the typical terrain slope.
+    radius
+        Radius of the Moon, m, whose curvature lowers distant terrain; infinite: flat.
     """
 
     elevation: float = 0.0
     sigma: float | None = 10.0
     relief: float = float(np.tan(np.deg2rad(5.0)))
+    radius: float = np.inf
 
     def __post_init__(self) -> None:
         for name, value in (("sigma", self.sigma), ("relief", self.relief)):
@@ -82,7 +86,13 @@ class TerrainPrior:
         distance = float(np.linalg.norm((briefing.start.position - briefing.target)[:2]))
         rise = relief * distance**_HURST_EXPONENT
         sigma = float(np.hypot(briefing.start.target_elevation_sigma, rise))
-        return cls(float(briefing.target[2]), max(sigma, _MIN_HEIGHT_SIGMA_M), relief)
+        gravity = briefing.gravity
+        radius = gravity.radius if isinstance(gravity, CentralGravity) else np.inf
+        return cls(float(briefing.target[2]), max(sigma, _MIN_HEIGHT_SIGMA_M), relief, radius)
+
+    def elevation_at(self, xy: Array) -> float:
+        """Return the estimated terrain elevation, m, at a point (2,), local, m."""
+        return self.elevation - float(xy @ xy) / (2.0 * self.radius)
 
     @property
     def growth(self) -> float:

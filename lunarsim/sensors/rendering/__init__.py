@@ -2,5 +2,6 @@
 
 from lunarsim.sensors.rendered_image import RenderedImage
 from lunarsim.sensors.rendering.renderer import Renderer, renderer_of
+from lunarsim.sensors.rendering.world_image import render_world
 
-__all__ = ["RenderedImage", "Renderer", "renderer_of"]
+__all__ = ["RenderedImage", "Renderer", "render_world", "renderer_of"]

@@ -311,20 +311,83 @@ def load_surroundings(
                 "pixel", list(pixel), "must be omitted, because the raster is georeferenced"
             )
         origin = latitude_deg, longitude_deg
-        complete = frame_of_window(source, _window(None, source), None, origin)
-        col, row = (v[0] for v in complete.pixels(np.zeros(1), np.zeros(1)))
-        if not (0.0 <= col <= complete.cols and 0.0 <= row <= complete.rows):
-            raise _no_height(path, latitude_deg, longitude_deg)
-        part = _window(window_around(complete, max_range), source)
-        frame = frame_of_window(source, part, None, origin)
-        heights = RasterHeights(source, HeightScale.of(source, None), _values(nodata))
-        step = posting or frame.mean_posting
-        z = _resampled(frame, heights.read(part), step, posting)
+        outside = _no_height(path, latitude_deg, longitude_deg)
+        return _around_origin(source, origin, max_range, (posting, None, nodata), outside)
+
+
+def _around_origin(
+    source: DatasetReader, origin: tuple[float, float], max_range: float,
+    options: tuple[float | None, str | None, float | Sequence[float] | None],
+    outside: InputError,
+) -> Heightfield:  # fmt: skip
+    """Load the square around a point of a georeferenced raster into a frame about it.
+
+    `origin` is the origin of the frame as for `frame_of_window`, and `max_range` half the side of
+    the square, m. `options` are the grid spacing, m, the unit and the values that mean "no height".
+    `outside` is raised if the raster has no height at the origin.
+    """
+    posting, unit, nodata = options
+    complete = frame_of_window(source, _window(None, source), None, origin)
+    col, row = (v[0] for v in complete.pixels(np.zeros(1), np.zeros(1)))
+    if not (0.0 <= col <= complete.cols and 0.0 <= row <= complete.rows):
+        raise outside
+    part = _window(window_around(complete, max_range), source)
+    frame = frame_of_window(source, part, None, origin)
+    heights = RasterHeights(source, HeightScale.of(source, unit), _values(nodata))
+    step = posting or frame.mean_posting
+    z = _resampled(frame, heights.read(part), step, posting)
     rows, cols = z.shape
     if not np.isfinite(z[rows // 2, cols // 2]):
-        raise _no_height(path, latitude_deg, longitude_deg)
+        raise outside
     grid = Grid(-0.5 * (cols - 1) * step, -0.5 * (rows - 1) * step, step, rows, cols)
     return Heightfield(grid, (z - np.nanmean(z)).astype(np.float32))
+
+
+def load_around_map(
+    path: Path,
+    map_frame: tuple[Frame, CRS],
+    max_range: float,
+    *,
+    posting: float | None = None,
+    unit: str | None = None,
+    nodata: float | Sequence[float] | None = None,
+) -> Heightfield:
+    """Load an elevation raster into the frame of another raster, the map.
+
+    Parameters
+    ----------
+    path, posting, unit, nodata
+        Raster, as for `load_terrain`.
+    map_frame
+        Local frame and coordinate reference system of the map.
+    max_range
+        Half the side of the square around the map's origin to load, m.
+
+    Returns
+    -------
+    Heightfield
+        Elevations above their mean, m; NaN outside the raster.
+
+    Raises
+    ------
+    InputError
+        If the file is refused or does not cover the map's origin, or if its coordinates have no
+        relation to those of the map.
+    """
+    frame, crs = map_frame
+    with open_raster(path) as source:
+        both = source.crs, crs
+        if source.crs != crs and not all(c.is_geographic or c.is_projected for c in both):
+            raise InputError(
+                "terrain.path", source.name, "must have the local coordinate reference of the map",
+                "Give terrain.centre_m.",
+            )  # fmt: skip
+        outside = InputError(
+            "terrain.path", source.name,
+            "must cover the origin of the map by its coordinate reference",
+            "Choose another raster, or give terrain.centre_m, for instance [0, 0].",
+        )  # fmt: skip
+        return _around_origin(source, frame.origin, max_range, (posting, unit, nodata), outside)
 
 
 def _no_height(path: str | Path, latitude_deg: float, longitude_deg: float) -> InputError:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from lunarsim.errors import InputError
 from lunarsim.parts.quantity import quantity
@@ -149,6 +150,13 @@ class RasterTerrain(ReliefRoughness):
         """
         relief, albedo = _cached_surface(self)
         return add_rocks(relief, rocks, streams, albedo=albedo)
+
+    def frame(self) -> tuple[Any, Any]:
+        """Return the frame of the raster and its coordinate reference system."""
+        from lunarsim.world.terrain.dtm import read_frame  # noqa: PLC0415  (loads rasterio)
+
+        assert self.path is not None
+        return read_frame(self.path, posting=self.dtm_posting, window=self.dtm_window)
 
     def relief(self) -> Heightfield:
         """Return the relief without rocks."""

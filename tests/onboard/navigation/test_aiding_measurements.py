@@ -12,6 +12,7 @@ from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.briefing import InitialStateEstimate
 from lunarsim.messages.measurements import AltimeterReading, AttitudeReading, DopplerReading
+from lunarsim.models.gravity import RoundMoon, UniformGravity
 from lunarsim.models.instruments import (
     AltimeterInstrument,
     StarTrackerInstrument,
@@ -65,13 +66,21 @@ def test_terrain_prior_uses_target_elevation_and_slope():
         0.01,
         target_elevation_sigma=4.0,
     )
-    given = SimpleNamespace(start=start, target=np.array([0.0, 50.0, 7.0]))
+    uniform = UniformGravity(1.622)
+    given = SimpleNamespace(start=start, target=np.array([0.0, 50.0, 7.0]), gravity=uniform)
     # 500 m away; heights so far apart differ by the slope times 500^0.76 m.
     found = TerrainPrior.of(given, 0.05)
     assert found.elevation == 7.0
     assert found.sigma == pytest.approx(np.hypot(4.0, 0.05 * 112.517), rel=1e-4)
-    level = SimpleNamespace(start=replace(start, target_elevation_sigma=0.0), target=given.target)
+    assert found.elevation_at(np.array([6_000.0, 8_000.0])) == 7.0
+    exact = replace(start, target_elevation_sigma=0.0)
+    level = SimpleNamespace(start=exact, target=given.target, gravity=uniform)
     assert TerrainPrior.of(level, 0.0).sigma == 0.1
+    moon = RoundMoon().gravity(1.622)
+    around = SimpleNamespace(start=start, target=given.target, gravity=moon)
+    curved = TerrainPrior.of(around, 0.05).elevation_at(np.array([6_000.0, 8_000.0]))
+    # The sphere is 10 km from the tangent point lower by R - sqrt(R^2 - 10 km^2).
+    assert curved == pytest.approx(7.0 - (moon.radius - np.sqrt(moon.radius**2 - 1e8)), abs=1e-3)
 
 
 def test_a_range_is_along_its_own_beam():
