@@ -88,6 +88,29 @@ def test_the_map_moves_to_the_position_of_the_newest_scan():
     assert np.median(np.abs(points[:, 2] - true)) < 0.02
 
 
+def test_a_scan_that_contradicts_the_map_changes_no_height():
+    mapper = GaussianDemMapper(FINE, Lander())
+    before = None
+    for k, noise in enumerate((0.0, 0.0, 0.3)):
+        rng = np.random.default_rng(20 + k)
+        rays = scan_of_rocks(rng) - [0.0, 0.0, 60.0]
+        rays[:, 2] += np.abs(rng.normal(0.0, noise, len(rays)))
+        reach = np.linalg.norm(rays, axis=1)
+        axes = np.diag([1.0, -1.0, -1.0])
+        scan = LidarScan(
+            float(k), reach, rays / reach[:, None] @ axes, axes, np.full(len(rays), 0.005),
+            (1, len(rays)),
+        )  # fmt: skip
+        pose = np.array([0.0, 0.0, 60.0])
+        mapper.update(scan, Estimate(float(k), pose, np.zeros(3), UPRIGHT, np.zeros(3), 1.0, KNOWN))
+        hazards = mapper.hazard_map()
+        if noise:
+            np.testing.assert_array_equal(hazards.elevation, before.elevation)
+            assert (mapper.displacement == 0.0).all()
+            assert not hazards.in_domain.any()
+        before = hazards
+
+
 def test_a_site_that_was_chosen_on_the_map_moves_with_it(monkeypatch):
     scenario = Scenario.from_dict({
         **TINY_FLIGHT, "decisions": {"last_altitude_m": 60.0},
