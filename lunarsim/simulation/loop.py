@@ -190,8 +190,7 @@ class Simulation:
         self.policy = None if scenario.computer else make_policy(scenario, policy)
         world = world if world is not None else build_world(scenario, self.streams)
         self._truth = truth
-        state, briefing = plan(scenario, world, self.streams)
-        self.briefing = briefing
+        state, self.briefing = plan(scenario, world, self.streams)
         clock, lander = scenario.simulation.make(), scenario.true_lander()
         self.plant = Plant(
             world,
@@ -212,9 +211,9 @@ class Simulation:
         # A policy that uses the truth is queried here; any other runs on the computer.
         self._oracle = self.policy if getattr(self.policy, "knows_truth", False) else None
         with recorded_in(messages):
-            self.computer = _make_computer(briefing, None if self._oracle else self.policy)
-        self.recorder = Recorder(briefing.target, *_recorded_sensors(scenario))
-        self._map_edge = MapEdgeMonitor(world, briefing.instruments)
+            self.computer = _make_computer(self.briefing, None if self._oracle else self.policy)
+        self.recorder = Recorder(self.briefing.target, *_recorded_sensors(scenario))
+        self._map_edge = MapEdgeMonitor(world, self.briefing.instruments)
         delay = scenario.command_delay
         self._stopwatch = Stopwatch()
         self._commands = CommandQueue(
@@ -223,7 +222,7 @@ class Simulation:
         )  # fmt: skip
         self._tap = tap
         if tap is not None:
-            tap.briefing = briefing
+            tap.briefing = self.briefing
         self._take(self.plant.measure())
 
     # --- state ----------------------------------------------------------------------------

@@ -12,13 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
 from lunarsim.exports import ExportOptions, export_flight
+from tests.exports.tables import columns
 from tests.reference.aem import read_aem
 
 MOON = 1_737_400.0
-
-
-def columns(table, name, axes="xyz"):
-    return np.column_stack([table[f"{name}_{axis}"] for axis in axes])
 
 
 def read_oem(path):

@@ -16,7 +16,7 @@ from rasterio.warp import transform
 from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.exports import ExportOptions, export_flight
-from tests.exports.test_ccsds import columns
+from tests.exports.tables import columns
 
 RADIUS = 1_737_400.0
 PLACE = (-43.25, 179.9999)

@@ -139,10 +139,12 @@ def test_an_inertial_unit_feels_thrust_alone():
     assert np.abs(np.diff(freed[:, 3:6], axis=0)).max() < 1e-9
 
 
-def test_navigation_by_uniform_gravity_is_refused():
-    instruments = Scenario.load("scenarios/instruments.toml")
-    with pytest.raises(InputError, match="uniform gravity"):
-        instruments.changed(moon={})
+@pytest.mark.parametrize("name", ["instruments", "shadow_nominal", "morpheus"])
+def test_navigation_with_an_inertial_unit_has_the_gravity_of_the_round_moon(name):
+    changed = Scenario.load(f"scenarios/{name}.toml").changed(moon={})
+    computer = Simulation(changed, 1, "no-divert").computer
+    fall = computer.briefing.nonuniform_gravity.free_fall_acceleration([0.0] * 3, [0.0] * 3)
+    assert fall[2] == pytest.approx(-changed.gravity_m_s2, abs=1e-4)
 
 
 def test_figures_are_checked():

@@ -297,9 +297,8 @@ def _spherical_mappings(
 ) -> tuple[tuple[float, float], tuple[Mapping, Mapping]]:
     """Return origin of a local frame, and mappings between map and frame.
 
-    The local frame is an azimuthal equidistant projection about `origin` (planetocentric latitude
-    and longitude, deg); None: about the centre of a window of `cols` x `rows`. `transform` converts
-    columns and rows to map coordinates.
+    The frame is an azimuthal equidistant projection about `origin` (planetocentric latitude and
+    longitude, deg); None: the centre of `cols` x `rows`. `transform` leads to map coordinates.
     """
     body = body_of(source.crs)
     crs = _on_sphere(source.crs, body)
@@ -316,10 +315,8 @@ def _spherical_mappings(
         except CPLE_BaseError:
             place = f"latitude {origin[0]:g} and longitude {lon:g} deg"
             raise _refusal(source, f"has a projection that excludes {place}") from None
-    edge = _refusal(
-        source, "extends beyond the edge of its projection",
-        "Choose a part of the raster with terrain.dtm_window.",
-    )  # fmt: skip
+    edge = _refusal(source, "extends beyond the edge of its projection",
+                    "Choose a part of the raster with terrain.dtm_window.")  # fmt: skip
     target = CRS.from_dict({"proj": "aeqd", "lat_0": lat, "lon_0": lon, "units": "m"} | body)
 
     def warped(start: CRS, end: CRS, x: Array, y: Array) -> tuple[Array, Array]:

@@ -11,8 +11,8 @@ import lunarsim
 from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.world.terrain.terrain_import import import_area, quantization_step
+from tests.world.terrain.raster_cases import CASES
 from tests.world.terrain.rasters import COLS, RADIUS, Plane, terrain
-from tests.world.terrain.test_dtm_matrix import CASES
 
 USABLE = {name: case for name, case in CASES.items() if not case.refused}
 
