@@ -142,6 +142,8 @@ def test_an_aem_has_the_true_attitudes(flight, tmp_path):
     keywords, rows = read_aem(export_flight(flight, "aem", tmp_path / "a.aem").read_text())
     rows = np.array(rows)
     assert np.abs(rows[:, 0] - flight.trajectory["time"]).max() < 1e-6
+    assert keywords["START_TIME"] == "2000-01-01T12:00:00.000000000"
+    assert flight.trajectory["time"][0] == 0.0
     assert keywords["ATTITUDE_TYPE"] == "QUATERNION" and keywords["QUATERNION_TYPE"] == "LAST"
     assert (keywords["REF_FRAME_A"], keywords["REF_FRAME_B"]) == ("LUNARSIM_SITE_ENU", "SC_BODY_1")
     assert keywords["ATTITUDE_DIR"] == "A2B"

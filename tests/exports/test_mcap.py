@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
 from lunarsim.exports import ExportOptions, export_flight
+from lunarsim.scenario import Scenario
 from lunarsim.simulation.worlds import rebuild_world
 
 EPOCH_NS = 946_728_000_000_000_000  # 2000-01-01T12:00:00
@@ -91,6 +92,20 @@ def test_true_poses(recording, flight):
     ((_, path),) = recording["/path"]
     assert len(path.poses) == len(poses)
     np.testing.assert_array_equal(vector(path.poses[-1].position), position[-1])
+    along = Rotation.from_quat([vector(pose.orientation, "xyzw") for pose in path.poses])
+    assert (along.inv() * truth).magnitude().max() < 1e-7 and np.ptp(along.as_quat()[:, 1]) > 0.1
+
+
+def test_each_message_and_entity_is_stamped_with_its_log_time(recording):
+    count = 0
+    for topic, rows in recording.items():
+        for time, message in rows:
+            if isinstance(message, dict):
+                continue
+            for stamped in message.entities if topic == "/scene" else [message]:
+                assert stamp(stamped) == pytest.approx(time, abs=1e-6), topic
+                count += 1
+    assert count > 100
 
 
 def test_scans_lie_on_the_true_terrain(recording, flight):
@@ -156,8 +171,26 @@ def test_images_with_their_poses(recording, flight):
         np.testing.assert_array_equal(rows, columns(images.columns, name, axes))
     calibration = recording["/camera/camera/calibration"][0][1]
     assert (calibration.width, calibration.height) == (48, 32)
-    fx, cx, cy = (images.columns[name][0] for name in ("fx", "cx", "cy"))
-    assert (calibration.K[0], calibration.K[2], calibration.K[5]) == (fx, cx, cy)
+    c = {name: values[0] for name, values in images.columns.items()}
+    assert list(calibration.K) == [c["fx"], 0.0, c["cx"], 0.0, c["fy"], c["cy"], 0.0, 0.0, 1.0]
+
+
+def test_a_calibration_projects_as_the_camera_does(flight, tmp_path):
+    """Each parameter differs from all others; `plumb_bob` has the order k1, k2, p1, p2, k3."""
+    given = {"fx": 101.0, "fy": 102.0, "cx": 23.0, "cy": 15.0, "k1": 0.1, "k2": -0.02, "p1": 3e-3,
+             "p2": -4e-3, "k3": 5e-4}  # fmt: skip
+    images = flight.images["camera"]
+    columns = {n: np.full_like(v, given.get(n, v[0])) for n, v in images.columns.items()}
+    changed = replace(flight, images={"camera": replace(images, columns=columns)})
+    found = read(export_flight(changed, "mcap", tmp_path / "a.mcap"))
+    calibration = found["/camera/camera/calibration"][0][1]
+    assert calibration.distortion_model == "plumb_bob"
+    assert list(calibration.D) == [given[name] for name in ("k1", "k2", "p1", "p2", "k3")]
+    projection = np.array(calibration.P).reshape(3, 4)
+    np.testing.assert_array_equal(projection[:, :3], np.array(calibration.K).reshape(3, 3))
+    np.testing.assert_array_equal(projection[:, 3], 0.0)
+    u, v, _ = projection @ [0.1, 0.2, 1.0, 1.0]
+    assert (u, v) == pytest.approx((0.1 * 101.0 + 23.0, 0.2 * 102.0 + 15.0))
 
 
 def test_events_and_diverts_are_in_the_log(recording, flight):
@@ -166,11 +199,27 @@ def test_events_and_diverts_are_in_the_log(recording, flight):
     expected += [(d["time"], "divert") for d in flight.decisions]
     assert sorted(n for _, n in found) == sorted(n for _, n in expected)
     assert [t for t, _ in found] == pytest.approx(sorted(t for t, _ in expected), abs=1e-6)
+    texts = [m.message for _, m in recording["/events"] if m.name == "divert"]
+    for text, decision in zip(texts, flight.decisions, strict=True):
+        details = json.loads(text.removeprefix("divert: "))
+        assert details["reason"] == decision["reason"]
+        assert details["to"] == pytest.approx(list(decision["to"]))
 
 
 def test_the_scene_has_lander_target_and_candidates(recording, flight):
     entities = {e.id: e for _, m in recording["/scene"] for e in m.entities}
     assert entities["lander"].frame_id == "lander"
+    times = {e.id: time for time, m in recording["/scene"] for e in m.entities}
+    decided = flight.decisions[-1]["time"]
+    assert times == pytest.approx(
+        {"lander": 0.0, "target": 0.0, "site": decided, "candidates": decided}, abs=1e-6
+    )
+    assert decided > 1.0
+    (body,) = entities["lander"].cylinders
+    vehicle = Scenario.world_from_toml(flight.scenario).vehicle.make()
+    assert vector(body.size) == pytest.approx(
+        (2.0 * vehicle.leg_radius, 2.0 * vehicle.leg_radius, 2.0 * vehicle.com_height)
+    )
     target = vector(entities["target"].spheres[0].pose.position)
     np.testing.assert_array_equal(target, flight.target)
     candidates = entities["candidates"].spheres
@@ -181,6 +230,14 @@ def test_the_scene_has_lander_target_and_candidates(recording, flight):
     last = flight.decisions[-1]["to"] - flight.map_error
     assert vector(entities["site"].spheres[0].pose.position) == pytest.approx(last, abs=1e-9)
     assert candidates[k].color.g == pytest.approx(flight.candidates[k, 3], abs=1e-6)
+
+
+def test_schemas_of_tables_have_the_units(flight, tmp_path):
+    with export_flight(flight, "mcap", tmp_path / "a.mcap").open("rb") as file:
+        schemas = {s.name: s for s in make_reader(file).get_summary().schemas.values()}
+    fields = json.loads(schemas["lunarsim.trajectory"].data)["properties"]
+    assert "; m/s" in fields["velocity_x"]["description"]
+    assert "true ENU" in fields["velocity_x"]["description"]
 
 
 def test_the_epoch(flight, tmp_path):

@@ -8,8 +8,11 @@ import cv2
 import matplotlib as mpl
 import numpy as np
 import pytest
+from PIL import Image, ImageSequence
+from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
+from lunarsim.view import film as film_module
 from lunarsim.view import save_film
 from lunarsim.view.drawing import project
 from lunarsim.view.film import HEIGHT, PANEL, WIDTH, FilmRenderer, frame_times
@@ -116,8 +119,67 @@ def test_instruments_change_with_their_values(renderer, flown):
         assert not np.array_equal(plain, renderer.instruments(half, moment._replace(**change)))
 
 
-def test_a_gif_has_half_the_size(flown, tmp_path):
+def test_instruments_show_the_true_state(renderer, flown, monkeypatch):
+    """Names, values and bars, computed from a state with components that all differ."""
+    shown = []
+    monkeypatch.setattr(film_module, "draw_gauges", lambda rows, *_: shown.append(rows))
+    lander = flown.lander
+    site = np.array([3.0, -4.0, flown.world.terrain.elevation([3.0, -4.0])])
+    moment = renderer.moments.at(0.0)._replace(
+        position=site + [6.0, 8.0, 50.0 + lander.com_height], velocity=np.array([3.0, -4.0, -7.0]),
+        attitude=Rotation.from_euler("yz", [18.0, 70.0], degrees=True).as_quat(), site=site,
+        mass=lander.dry_mass + 0.25 * lander.propellant_mass, thrust=0.5 * lander.thrust_max,
+    )  # fmt: skip
+    renderer.instruments(0.5 * flown.flight.duration, moment)
+    ((*rows,),) = shown
+    values = {name: (text, share) for name, text, share in rows}
+    left, thrust = 0.25 * lander.propellant_mass, 0.5 * lander.thrust_max
+    assert {name: text for name, (text, _) in values.items()} == {
+        "time": f"{0.5 * flown.flight.duration:.1f} s", "altitude": "50.0 m",
+        "distance to site": "10.0 m", "descent rate": "7.0 m/s", "horizontal speed": "5.0 m/s",
+        "tilt": "18.0 deg", "thrust": f"{thrust:.0f} N", "propellant": f"{left:.0f} kg",
+    }  # fmt: skip
+    bars = {name: share for name, (_, share) in values.items() if share is not None}
+    assert bars == pytest.approx({"time": 0.5, "tilt": 0.2, "thrust": 0.5, "propellant": 0.25})
+
+
+def test_the_caption_has_time_and_phase(renderer, flown, monkeypatch):
+    texts = []
+    monkeypatch.setattr(film_module, "draw_text", lambda _image, text, *_: texts.append(text))
+    phases = flown.flight.trajectory["phase"]
+    names = {0: "approach", 1: "vertical descent", 2: "abort", 3: "braking", 4: "hover"}
+    for phase in np.unique(phases):
+        time = float(flown.flight.trajectory["time"][np.flatnonzero(phases == phase)[1]])
+        renderer.frame(time + 0.01)
+        assert f"t = {time + 0.01:.1f} s, {names[int(phase)]}" in texts
+    for phase, name in names.items():
+        everywhere = {**flown.flight.trajectory, "phase": np.full_like(phases, phase)}
+        changed = FilmRenderer(replace(flown.flight, trajectory=everywhere), flown.world)
+        changed.frame(5.0)
+        assert f"t = 5.0 s, {name}" in texts
+
+
+def test_a_row_is_the_last_one_at_or_before_a_time(flown):
+    moments, time = FlightMoments(flown.flight), flown.flight.trajectory["time"]
+    assert [moments.row(time[k]) for k in (0, 1, 20)] == [0, 1, 20]
+    assert moments.row(0.5 * (time[20] + time[21])) == 20
+    assert (moments.row(-1.0), moments.row(1e9)) == (0, len(time) - 1)
+
+
+def test_an_mp4_has_the_colours_of_the_frames(film, renderer, flown):
+    """The panel, which has colours, agrees within the errors of the compression."""
+    frames, _, _ = film
+    found = frames[-1, :PANEL, WIDTH:].astype(float)
+    expected = renderer.frame(flown.flight.duration)[:PANEL, WIDTH:].astype(float)
+    swapped = np.abs(found - expected[..., ::-1]).mean()
+    assert np.abs(found - expected).mean() < 8.0 < 0.5 * swapped
+
+
+def test_a_gif_has_half_the_size_and_the_requested_duration(flown, tmp_path):
     path = save_film(flown.flight, tmp_path / "film.gif", seconds=1.0, world=flown.world)
+    with Image.open(path) as image:
+        times = [frame.info["duration"] for frame in ImageSequence.Iterator(image)]
+    assert sum(times) == pytest.approx(1000.0)
     source = cv2.VideoCapture(str(path))
     assert source.get(cv2.CAP_PROP_FRAME_WIDTH) == (WIDTH + PANEL) // 2
 

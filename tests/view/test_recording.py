@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from unittest.mock import create_autospec
 
@@ -17,11 +18,13 @@ from scipy.spatial.transform import Rotation
 
 from lunarsim.cli import main
 from lunarsim.errors import InputError
+from lunarsim.rocks.field import RockField
 from lunarsim.simulation.flight import Flight
 from lunarsim.view import save_recording, viewer
+from lunarsim.view.meshes import rock_mesh
 from lunarsim.view.recording import Recording
 from lunarsim.view.viewer import view_flight
-from lunarsim.world.terrain import Terrain
+from lunarsim.world.terrain import AlbedoMap, Terrain
 
 
 def read(path):
@@ -179,8 +182,14 @@ def test_sites_and_candidates_are_in_the_true_frame(flown, recorded):
     _, sites = vectors(columns, "/world/site", "Transform3D:translation")
     local = np.column_stack([t[f"estimated_{a}"] for a in "xyz"]) - table(t, "position")
     assert sites == pytest.approx(table(t, "site") - local, abs=1e-3)
-    _, rows = columns["/world/candidates", "Points3D:positions"]
-    assert len(rows[0]) == len(flown.flight.candidates)
+    candidate_times, rows = columns["/world/candidates", "Points3D:positions"]
+    found = flown.flight.candidates
+    assert len(rows[0]) == len(found)
+    time = flown.flight.decisions[-1]["time"]
+    assert candidate_times == pytest.approx([time], abs=1e-6) and time > 1.0
+    error = local[np.argmin(np.abs(t["time"] - time))]
+    assert np.abs(error).max() > 0.05
+    assert np.array(rows[0]) == pytest.approx(found[:, :3] - error, abs=1e-3)
 
 
 def test_camera_image_pose_and_pinhole(flown, recorded):
@@ -208,6 +217,57 @@ def test_camera_image_pose_and_pinhole(flown, recorded):
     assert ratio.std() < 0.05 * ratio.mean()
 
 
+def test_the_flame_points_down_in_proportion_to_thrust(flown, recorded):
+    columns, _ = recorded
+    _, arrows = vectors(columns, "/world/lander/flame", "Arrows3D:vectors")
+    assert arrows[:, :2] == pytest.approx(0.0)
+    thrust = flown.flight.trajectory["thrust"]
+    assert arrows[:, 2] / arrows[:, 2].min() == pytest.approx(thrust / thrust.max(), abs=1e-5)
+    assert arrows[:, 2].min() < -0.5
+
+
+def test_the_lander_stands_on_its_legs(flown, recorded):
+    """Body above the pads, legs from the body down to the pads, flame from below the body."""
+    columns, static = recorded
+    body = np.array(static["/world/lander/body", "Mesh3D:vertex_positions"])
+    legs = np.array(static["/world/lander/legs", "LineStrips3D:strips"])
+    assert legs[:, 1] == pytest.approx(flown.lander.pads, abs=1e-6)
+    assert (legs[:, 0, 2] > body[:, 2].min()).all() and (legs[:, 0, 2] < body[:, 2].max()).all()
+    assert body[:, 2].min() > legs[:, 1, 2].max()
+    _, origins = vectors(columns, "/world/lander/flame", "Arrows3D:origins")
+    assert origins[:, 2] == pytest.approx(body[:, 2].min())
+
+
+def test_the_largest_rocks_are_drawn_as_half_ellipsoids_at_their_places():
+    rng = np.random.default_rng(4)
+    x, y, base, a, b, height, yaw = rng.uniform(0.1, 1.0, (7, 4010))
+    rocks = RockField(x, y, base, a, b, height, yaw, np.zeros(4010, np.int64))
+    mesh = rock_mesh(rocks)
+    order = np.argsort(-a * b)[:4000]
+    for k, points in zip(order, mesh.vertices.reshape(-1, 25, 3), strict=True):
+        own = Rotation.from_euler("z", -yaw[k]).apply(points - [x[k], y[k], base[k]])
+        assert ((own / [a[k], b[k], height[k]]) ** 2).sum(axis=1) == pytest.approx(1.0, abs=1e-4)
+        assert own[:, 2].max() == pytest.approx(height[k], abs=1e-5) and own[:, 2].min() > -1e-5
+    corners = mesh.vertices[mesh.triangles]
+    faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    outward = (faces * mesh.normals[mesh.triangles].mean(axis=1)).sum(axis=1)
+    assert (outward > 0.0).all()
+
+
+def test_terrain_has_the_brightness_of_its_albedo(flown, tmp_path):
+    grid = flown.world.terrain.relief.grid
+    values = np.where(grid.centres()[..., 0] > 0.0, 1.4, 0.6).astype(np.float32)
+    relief = flown.world.terrain.relief
+    terrain = Terrain(relief, flown.world.terrain.rocks, albedo=AlbedoMap(grid, values))
+    world = replace(flown.world, terrain=terrain)
+    columns, _ = read(save_recording(flown.flight, tmp_path / "flight.rrd", world))
+    vertices = np.array(columns["/world/terrain", "Mesh3D:vertex_positions"][1][0])
+    colours = np.array(columns["/world/terrain", "Mesh3D:vertex_colors"][1][0])
+    red = colours >> 24  # packed as RGBA
+    assert np.median(red[vertices[:, 0] > 1.0]) == pytest.approx(210, abs=1)
+    assert np.median(red[vertices[:, 0] < -1.0]) == pytest.approx(90, abs=1)
+
+
 def test_plots_show_the_quantities_of_the_flight(flown, recorded):
     columns, static = recorded
     f, t, n = flown.flight, flown.flight.trajectory, flown.flight.navigation
@@ -219,6 +279,7 @@ def test_plots_show_the_quantities_of_the_flight(flown, recorded):
         "speed/horizontal": np.hypot(t["velocity_x"], t["velocity_y"]),
         "thrust/true": t["thrust"] / 1e3,
         "propellant/true": t["mass"] - flown.lander.dry_mass,
+        "propellant/estimated": t["estimated_mass"] - flown.lander.dry_mass,
         "navigation_error_north/error": error[:, 1],
         "navigation_error_up/upper": 3.0 * np.sqrt(n["covariance_22"]),
         "navigation_error_up/lower": -3.0 * np.sqrt(n["covariance_22"]),
